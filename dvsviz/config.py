@@ -1,0 +1,58 @@
+"""Frozen configuration: validated, unknown keys refused, written into every session."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, fields
+from typing import Any, Literal, Self, get_args, get_type_hints
+
+from dvsviz.errors import ConfigError
+
+Motion = Literal["planar", "translation", "rotation"]
+Objective = Literal["variance", "gradient"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrackerConfig:
+    """What a user may set about a tracker; everything else chooses itself.
+
+    Attributes:
+        motion: `planar` (6-DoF in front of a plane), `translation` (no rotation), `rotation` (no translation).
+        window: events a window; None lets the image motion choose.
+        max_window_ms: a window also ends after this time.
+        plane_distance: metres from the first camera to the plane, for metric output; None leaves d = 1.
+        seed: of every random choice.
+    """
+
+    motion: Motion = "planar"
+    window: int | None = None
+    max_window_ms: float = 100.0
+    plane_distance: float | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.motion not in get_args(Motion):
+            raise ConfigError(f"motion: expected one of {', '.join(get_args(Motion))}, got {self.motion!r}")
+        if self.window is not None and not 100 <= self.window <= 5_000_000:
+            raise ConfigError(f"window: expected 100 to 5000000 events, got {self.window}")
+        if not 1.0 <= self.max_window_ms <= 10_000.0:
+            raise ConfigError(f"max_window_ms: expected 1 to 10000, got {self.max_window_ms}")
+        if self.plane_distance is not None and not 0 < self.plane_distance < 1e6:
+            raise ConfigError(f"plane_distance: expected metres above 0, got {self.plane_distance}")
+
+    def to_json(self) -> str:
+        """Return the configuration as one JSON object."""
+        return json.dumps(asdict(self), sort_keys=True)
+
+    @classmethod
+    def from_json(cls, text: str) -> Self:
+        """Return the configuration of a JSON object.
+
+        Raises:
+            ConfigError: a key is unknown or a value out of range.
+        """
+        values: dict[str, Any] = json.loads(text)
+        known = {f.name for f in fields(cls)} & set(get_type_hints(cls))
+        if unknown := sorted(set(values) - known):
+            raise ConfigError(f"unknown setting {', '.join(unknown)}", hint=f"known are {', '.join(sorted(known))}")
+        return cls(**values)

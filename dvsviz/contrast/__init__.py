@@ -1,0 +1,1 @@
+"""Contrast maximization: warps, images of warped events, objectives, solvers."""

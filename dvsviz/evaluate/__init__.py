@@ -1,0 +1,1 @@
+"""Comparison of trajectories with truth: association, alignment, ATE, RPE."""

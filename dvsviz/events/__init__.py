@@ -1,0 +1,1 @@
+"""Events, recordings of them, and windows."""

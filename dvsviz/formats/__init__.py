@@ -1,0 +1,1 @@
+"""Recordings on disk: one file a format, recognised by content."""

@@ -1,0 +1,1 @@
+"""The web server: page, REST, websocket, proxy to the 3-D scene."""

@@ -1,0 +1,1 @@
+"""Rigid motions, the pinhole camera, planes and trajectories."""

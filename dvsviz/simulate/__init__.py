@@ -1,0 +1,1 @@
+"""Motions, scenes and sensors that make recordings with known truth."""

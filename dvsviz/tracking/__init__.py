@@ -1,0 +1,1 @@
+"""The tracker: alignment, planar map, keyframes, refinement, relocalization."""
