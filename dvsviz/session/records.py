@@ -194,3 +194,22 @@ class LogEntry:
     window: int
     level: str
     text: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TrackerUpdates:
+    """What a tracker made since it was last asked, besides one result a window.
+
+    Attributes:
+        keyframes: new keyframes.
+        map_revisions: new map revisions.
+        refined: poses re-expressed by refinements, in the order they landed.
+        failures: failures that ended.
+        log: lines for the log of events.
+    """
+
+    keyframes: tuple[Keyframe, ...] = ()
+    map_revisions: tuple[MapRevision, ...] = ()
+    refined: tuple[RefinedPoses, ...] = ()
+    failures: tuple[Failure, ...] = ()
+    log: tuple[LogEntry, ...] = ()
