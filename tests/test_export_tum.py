@@ -73,6 +73,14 @@ def test_a_bad_line_is_named(tmp_path: Path, text: str, words: tuple[str, ...]) 
     assert "\n" not in str(caught.value)
 
 
+def test_repair_drops_doubles_and_says_how_many(tmp_path: Path) -> None:
+    (tmp_path / "a.tum").write_text("0 1 0 0 0 0 0 1\n1 2 0 0 0 0 0 1\n1 3 0 0 0 0 0 1\n2 4 0 0 0 0 0 1\n")
+    said: list[str] = []
+    back = read_tum(tmp_path / "a.tum", repair=True, warnings=said)
+    assert back.positions[:, 0].tolist() == [1, 2, 4]
+    assert said == ["a.tum: 1 of 4 poses dropped, their times do not increase"]
+
+
 def test_a_missing_and_a_binary_file_are_refused(tmp_path: Path) -> None:
     (tmp_path / "b.tum").write_bytes(bytes(range(256)))
     for name in ("none.tum", "b.tum"):

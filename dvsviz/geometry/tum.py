@@ -22,10 +22,16 @@ _MAX_DIGITS = 40
 _NORM_TOLERANCE = 0.01
 
 
-def read_tum(path: Path) -> Trajectory:
+def read_tum(path: Path, *, repair: bool = False, warnings: list[str] | None = None) -> Trajectory:
     """Return the trajectory of a TUM file; poses are `T_world_camera`, times exact to the microsecond.
 
     Empty lines and lines that start with `#` are skipped; numbers are parted by blanks or commas.
+
+    Args:
+        path: the file.
+        repair: drop poses whose time is not after the one before instead of refusing them (files of public
+            benchmarks hold a few doubles).
+        warnings: gets one sentence about what was dropped.
 
     Raises:
         FormatError: no such file, a line without eight finite numbers, a quaternion that is not a unit quaternion,
@@ -33,6 +39,7 @@ def read_tum(path: Path) -> Trajectory:
     """
     t_us: list[int] = []
     rows: list[list[float]] = []
+    dropped = 0
     try:
         with path.open(encoding="utf-8") as lines:
             for number, line in enumerate(lines, start=1):
@@ -41,11 +48,14 @@ def read_tum(path: Path) -> Trajectory:
                     continue
                 t, row = _parse(words, path, f"line {number}")
                 if t_us and t <= t_us[-1]:
+                    dropped += 1
+                    if repair:
+                        continue
                     raise FormatError(
                         f"time {words[0]} is not after the one before",
                         path=path,
                         place=f"line {number}",
-                        hint="sort the poses by time and drop doubles",
+                        hint="sort the poses by time, or drop such poses with --repair",
                     )
                 t_us.append(t)
                 rows.append(row)
@@ -55,6 +65,10 @@ def read_tum(path: Path) -> Trajectory:
         raise FormatError(f"cannot be read: {error.strerror}", path=path, hint="check the path") from error
     if not rows:
         raise FormatError("holds no poses", path=path, hint=f"expected lines of `{_COLUMNS}`")
+    if dropped and warnings is not None:
+        warnings.append(
+            f"{path.name}: {dropped} of {len(rows) + dropped} poses dropped, their times do not increase"
+        )
     values = np.array(rows, dtype=np.float64)
     return Trajectory.from_quaternions(
         np.array(t_us, dtype=np.int64), values[:, :3], se3.wxyz_from_xyzw(values[:, 3:])
