@@ -1,0 +1,53 @@
+"""Checks that every reader and writer of events shares."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NoReturn
+
+import numpy as np
+
+from dvsviz.errors import FormatError
+from dvsviz.events.events import Events
+from dvsviz.geometry.camera import Camera
+
+
+def check_events(events: Events, camera: Camera, *, path: Path, first: int = 0, last_us: int | None = None) -> None:
+    """Check that events are in time order and inside the sensor.
+
+    Args:
+        events: the events.
+        camera: gives the sensor's size.
+        path: named in the error.
+        first: index of `events[0]` in its file, named in the error.
+        last_us: time of the event before them, None where there is none.
+
+    Raises:
+        FormatError: with the index of the first event that is wrong.
+    """
+    if len(events) == 0:
+        return
+    t = events.t_us
+    if last_us is not None and t[0] < last_us:
+        _refuse_order(path, first, int(t[0]), last_us)
+    back = t[1:] < t[:-1]
+    if back.any():
+        i = int(np.argmax(back)) + 1
+        _refuse_order(path, first + i, int(t[i]), int(t[i - 1]))
+    if int(events.x_px.max()) >= camera.width or int(events.y_px.max()) >= camera.height:
+        i = int(np.argmax((events.x_px >= camera.width) | (events.y_px >= camera.height)))
+        raise FormatError(
+            f"pixel ({events.x_px[i]}, {events.y_px[i]}) lies outside the sensor of {camera.width}x{camera.height}",
+            path=path,
+            place=f"event {first + i}",
+            hint="give the right size with --size WxH, or drop such events with --repair",
+        )
+
+
+def _refuse_order(path: Path, index: int, t_us: int, before_us: int) -> NoReturn:
+    raise FormatError(
+        f"time runs backwards, {t_us} us after {before_us} us",
+        path=path,
+        place=f"event {index}",
+        hint="sort the events by time, or drop those that run backwards with --repair",
+    )
