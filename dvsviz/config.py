@@ -12,6 +12,14 @@ Motion = Literal["planar", "translation", "rotation"]
 Objective = Literal["variance", "gradient"]
 
 
+def _is_whole(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
+def _is_number(value: object) -> bool:
+    return _is_whole(value) or isinstance(value, float)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrackerConfig:
     """What a user may set about a tracker; everything else chooses itself.
@@ -33,6 +41,13 @@ class TrackerConfig:
     def __post_init__(self) -> None:
         if self.motion not in get_args(Motion):
             raise ConfigError(f"motion: expected one of {', '.join(get_args(Motion))}, got {self.motion!r}")
+        for name, value in (("max_window_ms", self.max_window_ms), ("plane_distance", self.plane_distance)):
+            if not _is_number(value) and not (name == "plane_distance" and value is None):
+                raise ConfigError(f"{name}: expected a number, got {value!r}")
+        if self.window is not None and not _is_whole(self.window):
+            raise ConfigError(f"window: expected a whole number of events, got {self.window!r}")
+        if not _is_whole(self.seed) or self.seed < 0:
+            raise ConfigError(f"seed: expected a whole number of at least 0, got {self.seed!r}")
         if self.window is not None and not 100 <= self.window <= 5_000_000:
             raise ConfigError(f"window: expected 100 to 5000000 events, got {self.window}")
         if not 1.0 <= self.max_window_ms <= 10_000.0:
@@ -49,9 +64,14 @@ class TrackerConfig:
         """Return the configuration of a JSON object.
 
         Raises:
-            ConfigError: a key is unknown or a value out of range.
+            ConfigError: the text is not a JSON object, a key is unknown, or a value is out of range.
         """
-        values: dict[str, Any] = json.loads(text)
+        try:
+            values: Any = json.loads(text)
+        except json.JSONDecodeError as error:
+            raise ConfigError(f"configuration: expected a JSON object, got {text[:40]!r}") from error
+        if not isinstance(values, dict):
+            raise ConfigError(f"configuration: expected a JSON object, got {text[:40]!r}")
         known = {f.name for f in fields(cls)} & set(get_type_hints(cls))
         if unknown := sorted(set(values) - known):
             raise ConfigError(f"unknown setting {', '.join(unknown)}", hint=f"known are {', '.join(sorted(known))}")
