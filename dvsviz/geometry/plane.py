@@ -71,6 +71,15 @@ def turn_normal(normal: Array, delta: Array) -> Array:
     return n / np.linalg.norm(n)
 
 
+def turn_normal_derivative(normal: Array, delta: Array) -> Array:
+    """Return the derivative (3, 2) of `turn_normal(normal, delta)` by `delta`."""
+    B = tangent_basis(normal)
+    moved = np.asarray(normal, dtype=np.float64) + B @ np.asarray(delta, dtype=np.float64)
+    length = np.linalg.norm(moved)
+    n = moved / length
+    return (B - np.outer(n, n @ B)) / length
+
+
 def homography_map_camera(T_world_camera: Array, plane_world: Plane) -> Array:
     """Return `H_map_camera` (3, 3): bearing (x, y, 1) -> homogeneous map point (u, v, 1), eq. 2.11 and 2.14.
 

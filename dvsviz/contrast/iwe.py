@@ -1,0 +1,65 @@
+"""The image of warped events (IWE), eq. 2.1."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dvsviz.contrast import kernels
+from dvsviz.contrast.warp import Warp, window_warp
+from dvsviz.geometry.camera import Camera
+from dvsviz.geometry.plane import Plane
+
+_ONE = np.ones(1, dtype=np.float32)
+
+
+def warp_points(bearings: NDArray[np.float32], t_s: NDArray[np.float64], warp: Warp) -> NDArray[np.float32]:
+    """Return target pixels (N, 2) float32 of bearings (N, 2) at times (N,); NaN behind the target."""
+    out = np.empty((len(bearings), 2), dtype=np.float32)
+    kernels.warp_events(bearings, t_s, warp.nodes, warp.scale, out)
+    return out
+
+
+def vote(
+    points: NDArray[np.float32], weights: NDArray[np.float32] | None, shape: tuple[int, int]
+) -> NDArray[np.float32]:
+    """Return the image (rows, columns) of points (N, 2) voted bilinearly with weights (N,), or 1 each."""
+    image = np.zeros(shape, dtype=np.float32)
+    kernels.vote(points, _ONE if weights is None else np.asarray(weights, dtype=np.float32), image)
+    return image
+
+
+def image_of_warped_events(
+    bearings: NDArray[np.float32],
+    t_s: NDArray[np.float64],
+    weights: NDArray[np.float32] | None,
+    camera: Camera,
+    *,
+    omega: ArrayLike = (0.0, 0.0, 0.0),
+    velocity: ArrayLike = (0.0, 0.0, 0.0),
+    normal: ArrayLike = (0.0, 0.0, -1.0),
+    distance: float = 1.0,
+) -> NDArray[np.float32]:
+    """Return the IWE (height, width) float32 on the camera's undistorted pixel grid (eq. 2.1).
+
+    Args:
+        bearings: (N, 2) float32.
+        t_s: seconds since the window's first event (N,), to which all events are warped.
+        weights: s_k (N,), polarity ±1 or None for 1 each.
+        camera: its K and size make the grid; its distortion is not used.
+        omega: angular velocity (3,), rad/s.
+        velocity: linear velocity (3,), units of `distance` per second.
+        normal: plane normal (3,) in the camera frame.
+        distance: plane distance from the camera.
+    """
+    if len(bearings) == 0:
+        return np.zeros((camera.height, camera.width), dtype=np.float32)
+    warp = window_warp(
+        np.asarray(omega, dtype=np.float64),
+        np.asarray(velocity, dtype=np.float64),
+        Plane(normal=np.asarray(normal, dtype=np.float64), distance=distance),
+        float(t_s[-1]),
+        camera.matrix,
+        derivatives=False,
+    )
+    return vote(warp_points(bearings, t_s, warp), weights, (camera.height, camera.width))

@@ -1,0 +1,171 @@
+"""Contrast maximization of one window: the velocity (and, at first, the plane) that makes its IWE sharpest.
+
+The reference mode of seed 000 (sections 2.1 and 2.2.3): it starts tracking, de-skews windows and draws the contrast
+landscape. Aligning with a map is the tracker's (`tracking.align`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from dvsviz.contrast import kernels
+from dvsviz.contrast.iwe import vote, warp_points
+from dvsviz.contrast.objectives import Objective, ObjectiveName, objective
+from dvsviz.contrast.warp import window_warp
+from dvsviz.geometry.camera import Camera
+from dvsviz.geometry.plane import Plane, turn_normal, turn_normal_derivative
+
+Array = NDArray[np.float64]
+
+# Blurs (px) of the coarse-to-fine stages. 4 px bridges the 7.6 px RMS of the standard one-window test from a zero
+# start; below 1 px the bilinear vote's own ripple shows (tests/test_contrast_solve.py).
+_BLURS_PX = (4.0, 2.0, 1.0)
+# Step of the normal (rad) that counts as one unit: it shows only through the change of depth across the image.
+_NORMAL_SCALE = 0.05
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ContrastProblem:
+    """Value and gradient of the contrast of one window as a function of its motion.
+
+    Attributes:
+        bearings: (N, 2) float32.
+        t_s: seconds since the first event (N,).
+        weights: s_k (N,) float32, ±1 or (1,) for one weight.
+        camera: gives the image grid.
+        duration_s: length of the window.
+    """
+
+    bearings: NDArray[np.float32]
+    t_s: Array
+    weights: NDArray[np.float32]
+    camera: Camera
+    duration_s: float
+
+    def evaluate(
+        self, omega: Array, velocity: Array, plane: Plane, cost: Objective, *, d_normal: Array | None = None
+    ) -> tuple[float, Array]:
+        """Return the contrast and its gradient (6,) by omega and velocity, (8,) with the normal's parameters."""
+        warp = window_warp(omega, velocity, plane, self.duration_s, self.camera.matrix, d_normal=d_normal)
+        points = warp_points(self.bearings, self.t_s, warp)
+        value, adjoint_image = cost(vote(points, self.weights, (self.camera.height, self.camera.width)))
+        adjoint = np.zeros_like(warp.nodes)
+        kernels.gather(
+            self.bearings, self.t_s, self.weights, points, adjoint_image, warp.nodes, warp.scale, adjoint
+        )
+        return value, np.einsum("mrc,pmrc->p", adjoint, warp.d_nodes)
+
+    def contrast(self, omega: Array, velocity: Array, plane: Plane, cost: Objective) -> float:
+        """Return the contrast alone."""
+        warp = window_warp(omega, velocity, plane, self.duration_s, self.camera.matrix, derivatives=False)
+        points = warp_points(self.bearings, self.t_s, warp)
+        return cost(vote(points, self.weights, (self.camera.height, self.camera.width)))[0]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ContrastSolution:
+    """The motion of one window by contrast maximization.
+
+    Attributes:
+        omega: angular velocity (3,), rad/s.
+        velocity: linear velocity (3,), units of the plane's distance per second.
+        normal: plane normal (3,) in the camera frame.
+        contrast_before: contrast without motion, at the finest blur.
+        contrast_after: contrast at the solution, at the finest blur.
+        iterations: evaluations of value and gradient.
+        converged: False where the solver stopped at its limit.
+    """
+
+    omega: Array
+    velocity: Array
+    normal: Array
+    contrast_before: float
+    contrast_after: float
+    iterations: int
+    converged: bool
+
+
+def maximize_contrast(
+    problem: ContrastProblem,
+    plane: Plane,
+    *,
+    omega: Array | None = None,
+    velocity: Array | None = None,
+    free: NDArray[np.bool_] | None = None,
+    with_normal: bool = False,
+    name: ObjectiveName = "variance",
+    blurs_px: tuple[float, ...] = _BLURS_PX,
+    max_evaluations: int = 60,
+) -> ContrastSolution:
+    """Return the motion that maximises the contrast, coarse to fine, by L-BFGS on scaled parameters.
+
+    Args:
+        problem: the window.
+        plane: in the camera frame at the first event; its distance is kept.
+        omega: start (3,), zero unless given.
+        velocity: start (3,), zero unless given.
+        free: mask (6,) over (omega, velocity) of the parameters to find; all unless given.
+        with_normal: also find the normal (8 parameters, section 2.2.3).
+        name: the objective.
+        blurs_px: Gaussian blurs of the stages.
+        max_evaluations: limit a stage.
+    """
+    mask = np.ones(6, dtype=bool) if free is None else np.asarray(free, dtype=bool)
+    x = np.concatenate([np.zeros(3) if omega is None else omega, np.zeros(3) if velocity is None else velocity])
+    normal = np.asarray(plane.normal, dtype=np.float64)
+    # One unit of every parameter moves the image's edge by about 1 px over the window.
+    f = 0.5 * (problem.camera.fx + problem.camera.fy)
+    duration = max(problem.duration_s, 1e-6)
+    scale = np.full(6, 1.0 / (f * duration))
+    scale[3:] *= plane.distance
+    count = int(mask.sum())
+    evaluations, converged = 0, True
+    for blur in blurs_px:
+        cost = objective(name, blur)
+        still, _ = problem.evaluate(np.zeros(3), np.zeros(3), plane, cost)
+        reference = max(still, 1e-12)
+
+        def negative(
+            z: Array, cost: Objective = cost, reference: float = reference, normal: Array = normal, x: Array = x
+        ) -> tuple[float, Array]:
+            trial = x.copy()
+            trial[mask] += z[:count] * scale[mask]
+            delta = z[count:] * _NORMAL_SCALE if with_normal else np.zeros(2)
+            value, slope = problem.evaluate(
+                trial[:3],
+                trial[3:],
+                Plane(normal=turn_normal(normal, delta), distance=plane.distance),
+                cost,
+                d_normal=turn_normal_derivative(normal, delta) if with_normal else None,
+            )
+            slope = np.concatenate([slope[:6][mask] * scale[mask], slope[6:] * _NORMAL_SCALE])
+            return -value / reference, -slope / reference
+
+        found = minimize(
+            negative,
+            np.zeros(count + (2 if with_normal else 0)),
+            jac=True,
+            method="L-BFGS-B",
+            options={"maxfun": max_evaluations, "ftol": 1e-7, "gtol": 1e-5},
+        )
+        evaluations += int(found.nfev)
+        converged = bool(found.success)
+        x = x.copy()
+        x[mask] += found.x[:count] * scale[mask]
+        if with_normal:
+            normal = turn_normal(normal, found.x[count:] * _NORMAL_SCALE)
+    final = objective(name, blurs_px[-1])
+    solved = Plane(normal=normal, distance=plane.distance)
+    return ContrastSolution(
+        omega=x[:3],
+        velocity=x[3:],
+        normal=normal,
+        contrast_before=problem.contrast(np.zeros(3), np.zeros(3), plane, final),
+        contrast_after=problem.contrast(x[:3], x[3:], solved, final),
+        iterations=evaluations,
+        converged=converged,
+    )

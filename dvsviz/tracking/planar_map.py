@@ -1,0 +1,271 @@
+"""The planar map: edge occurrence on the plane, normalised by the image displacement that showed it.
+
+A cell's rate is `votes / (displacement + 1 px)`: an edge that stood still for a second and one that flew past in a
+millisecond get the same value. The edge image is `M = 1 - exp(-k rate / p90)`, which saturates, so that strong edges
+do not outweigh weak ones (tracking notes, finding 5).
+"""
+
+from __future__ import annotations
+
+import cv2
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from dvsviz.geometry.plane import Plane
+from dvsviz.session.records import MapRevision
+from dvsviz.tracking import constants as c
+
+Array = NDArray[np.float64]
+Image = NDArray[np.float32]
+
+
+class PlanarMap:
+    """A growing grid of edge occurrence on one plane.
+
+    Attributes:
+        plane: in the world frame.
+        px_per_unit: cells per unit of the plane's distance.
+        origin: (u, v) (2,) of cell (0, 0)'s centre, in units.
+        votes: events that fell on each cell (rows, columns).
+        exposure: image displacement, px, that has swept each block of cells (rows / b, columns / b).
+    """
+
+    def __init__(self, plane: Plane, px_per_unit: float, origin: Array, shape: tuple[int, int]) -> None:
+        b = c.EXPOSURE_CELL_PX
+        rows, cols = (-(-n // b) * b for n in shape)
+        self.plane = plane
+        self.px_per_unit = px_per_unit
+        self.origin = np.asarray(origin, dtype=np.float64)
+        self.votes: Image = np.zeros((rows, cols), dtype=np.float32)
+        self.exposure: Image = np.zeros((rows // b, cols // b), dtype=np.float32)
+        self._levels: list[Image] = []
+        self._p90 = 0.0
+        self._dirty: tuple[int, int, int, int] | None = (0, 0, rows, cols)
+
+    @property
+    def projection(self) -> Array:
+        """The affine map (3, 3) from plane coordinates (u, v, 1) to cells (column, row, 1)."""
+        s = self.px_per_unit
+        return np.array([[s, 0, -s * self.origin[0]], [0, s, -s * self.origin[1]], [0, 0, 1.0]])
+
+    def cover(self, low: Array, high: Array) -> bool:
+        """Grow the grid until it holds the box from `low` to `high` (u, v); True where it had to.
+
+        A box that would make the map larger than `MAP_MAX_CELLS` is cut: a wrong pose must not take all memory.
+        """
+        s, b = self.px_per_unit, c.EXPOSURE_CELL_PX
+        rows, cols = self.votes.shape
+        lo = np.floor((np.asarray(low) - self.origin) * s)
+        hi = np.ceil((np.asarray(high) - self.origin) * s)
+        if not (np.all(np.isfinite(lo)) and np.all(np.isfinite(hi))):
+            return False
+        if lo.min() >= 0 and hi[0] < cols - 1 and hi[1] < rows - 1:
+            return False
+        grow = np.array(
+            [max(0.0, -lo[0]), max(0.0, -lo[1]), max(0.0, hi[0] - cols + 2), max(0.0, hi[1] - rows + 2)]
+        )
+        left, top, right, bottom = (int(-(-(g + c.MAP_MARGIN_PX) // b) * b) if g > 0 else 0 for g in grow)
+        if (rows + top + bottom) * (cols + left + right) > c.MAP_MAX_CELLS:
+            return False
+        self.votes = np.pad(self.votes, ((top, bottom), (left, right)))
+        self.exposure = np.pad(self.exposure, ((top // b, bottom // b), (left // b, right // b)))
+        self._levels = [np.pad(level, ((top, bottom), (left, right))) for level in self._levels]
+        self.origin = self.origin - np.array([left, top]) / s
+        if self._dirty is not None:
+            r0, c0, r1, c1 = self._dirty
+            self._dirty = (r0 + top, c0 + left, r1 + top, c1 + left)
+        return True
+
+    def add(self, points: NDArray[np.float32], start: Array, end: Array, sensor: tuple[int, int], K: Array) -> None:
+        """Add a window's events.
+
+        Args:
+            points: cells (N, 2) of its events.
+            start: homography (3, 3) from bearings to cells at its first event.
+            end: the same at its end.
+            sensor: (height, width) of the camera, for the footprint.
+            K: the camera's calibration (3, 3).
+        """
+        inside = points[np.isfinite(points[:, 0])]
+        if len(inside) == 0:
+            return
+        frozen_vote(points, self.votes, self.exposure, c.EXPOSURE_CELL_PX, c.FREEZE_DISPLACEMENT_PX)
+        box = add_exposure(
+            self.exposure,
+            np.linalg.inv(start),
+            np.linalg.inv(end),
+            K,
+            sensor[0],
+            sensor[1],
+            c.EXPOSURE_CELL_PX,
+        )
+        r0, c0, r1, c1 = (int(v) * c.EXPOSURE_CELL_PX for v in box)
+        if r1 > r0:
+            d = self._dirty
+            self._dirty = (
+                (r0, c0, r1, c1) if d is None else (min(d[0], r0), min(d[1], c0), max(d[2], r1), max(d[3], c1))
+            )
+
+    def pyramid(self) -> list[Image]:
+        """Return the edge image M in [0, 1] blurred by each of `ALIGN_BLURS_PX`, up to date; do not write to it."""
+        if self._dirty is None and self._levels:
+            return self._levels
+        if not self._levels:
+            self._levels = [np.zeros_like(self.votes) for _ in c.ALIGN_BLURS_PX]
+        self._p90 = self._density()
+        if self._p90 <= 0:
+            return self._levels
+        pad = int(3 * max(c.ALIGN_BLURS_PX)) + 1
+        rows, cols = self.votes.shape
+        r0, c0, r1, c1 = self._dirty or (0, 0, rows, cols)
+        # A halo of one blur around what changed, and one more to blur it from.
+        a0, b0, a1, b1 = max(0, r0 - pad), max(0, c0 - pad), min(rows, r1 + pad), min(cols, c1 + pad)
+        s0, t0, s1, t1 = max(0, a0 - pad), max(0, b0 - pad), min(rows, a1 + pad), min(cols, b1 + pad)
+        edge = self._edge(s0, t0, s1, t1)
+        for level, sigma in zip(self._levels, c.ALIGN_BLURS_PX, strict=True):
+            blurred = cv2.GaussianBlur(edge, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
+            # A thin line loses its height to the blur: brought back, so that each level still reaches about 1.
+            gain = np.float32(min(1.0 + 1.5 * sigma, 4.0))
+            np.minimum(blurred[a0 - s0 : a1 - s0, b0 - t0 : b1 - t0] * gain, 1.0, out=level[a0:a1, b0:b1])
+        self._dirty = None
+        return self._levels
+
+    def _density(self) -> float:
+        return occupied_percentile(self.votes, self.exposure, c.EXPOSURE_CELL_PX, 0.9)
+
+    def _edge(self, r0: int, c0: int, r1: int, c1: int) -> Image:
+        """Return M (eq. above) of a block of cells."""
+        out = np.empty((r1 - r0, c1 - c0), dtype=np.float32)
+        edge_block(self.votes, self.exposure, c.EXPOSURE_CELL_PX, r0, c0, c.MAP_SATURATION / self._p90, out)
+        return out
+
+    def edge_image(self) -> Image:
+        """Return M in [0, 1] (rows, columns), not blurred."""
+        self.pyramid()
+        if self._p90 <= 0:
+            return np.zeros_like(self.votes)
+        return self._edge(0, 0, *self.votes.shape)
+
+    def revision(self, number: int, window: int) -> MapRevision:
+        """Return the map as it stands, cut to what was written, as a frozen record."""
+        edge = self.edge_image()
+        rows, cols = np.flatnonzero(edge.any(axis=1)), np.flatnonzero(edge.any(axis=0))
+        r0, r1 = (int(rows[0]), int(rows[-1]) + 1) if len(rows) else (0, 1)
+        c0, c1 = (int(cols[0]), int(cols[-1]) + 1) if len(cols) else (0, 1)
+        return MapRevision(
+            revision=number,
+            window=window,
+            texture=(edge[r0:r1, c0:c1] * 255).astype(np.uint8),
+            origin=self.origin + np.array([c0, r0]) / self.px_per_unit,
+            px_per_unit=self.px_per_unit,
+            normal_world=self.plane.normal,
+            distance=self.plane.distance,
+        )
+
+
+@numba.njit(cache=True, nogil=True)
+def frozen_vote(points, votes, exposure, block, limit):
+    """Vote points (N, 2) bilinearly into `votes` where the block was swept by less than `limit` px."""
+    rows, cols = votes.shape
+    for i in range(points.shape[0]):
+        x, y = points[i, 0], points[i, 1]
+        if not (x >= 0.0 and y >= 0.0 and x < cols - 1 and y < rows - 1):
+            continue
+        q, r = int(x), int(y)
+        if exposure[r // block, q // block] > limit:
+            continue
+        fx, fy = x - q, y - r
+        votes[r, q] += (1 - fx) * (1 - fy)
+        votes[r, q + 1] += fx * (1 - fy)
+        votes[r + 1, q] += (1 - fx) * fy
+        votes[r + 1, q + 1] += fx * fy
+
+
+@numba.njit(cache=True, nogil=True)
+def add_exposure(exposure, to_start, to_end, K, height, width, block):
+    """Add to each block the image displacement (px) between two views, where the block is in view.
+
+    Args:
+        exposure: (rows, columns) blocks, added to in place.
+        to_start: homography (3, 3) from cells to bearings in the first view.
+        to_end: the same in the second view.
+        K: calibration (3, 3).
+        height: sensor rows.
+        width: sensor columns.
+        block: cells a block.
+
+    Returns:
+        The box of blocks in view: first row, first column, end row, end column; empty where there is none.
+    """
+    rows, cols = exposure.shape
+    r0, c0, r1, c1 = rows, cols, 0, 0
+    # Bounding box of the footprint: the sensor's corners in cells.
+    inv = np.linalg.inv(to_start)
+    lo_x, lo_y, hi_x, hi_y = 1e9, 1e9, -1e9, -1e9
+    for cy in (0.0, float(height)):
+        for cx in (0.0, float(width)):
+            bx, by = (cx - K[0, 2]) / K[0, 0], (cy - K[1, 2]) / K[1, 1]
+            z = inv[2, 0] * bx + inv[2, 1] * by + inv[2, 2]
+            sign = 1.0 if inv[2, 2] > 0 else -1.0
+            if z * sign <= 1e-9:
+                lo_x, lo_y, hi_x, hi_y = 0.0, 0.0, float(cols * block), float(rows * block)
+                continue
+            px = (inv[0, 0] * bx + inv[0, 1] * by + inv[0, 2]) / z
+            py = (inv[1, 0] * bx + inv[1, 1] * by + inv[1, 2]) / z
+            lo_x, hi_x, lo_y, hi_y = min(lo_x, px), max(hi_x, px), min(lo_y, py), max(hi_y, py)
+    for r in range(max(0, int(lo_y / block)), min(rows, int(hi_y / block) + 2)):
+        for q in range(max(0, int(lo_x / block)), min(cols, int(hi_x / block) + 2)):
+            x, y = (q + 0.5) * block, (r + 0.5) * block
+            z = to_start[2, 0] * x + to_start[2, 1] * y + to_start[2, 2]
+            ax = (to_start[0, 0] * x + to_start[0, 1] * y + to_start[0, 2]) / z * K[0, 0] + K[0, 2]
+            ay = (to_start[1, 0] * x + to_start[1, 1] * y + to_start[1, 2]) / z * K[1, 1] + K[1, 2]
+            if not (ax >= 0 and ay >= 0 and ax < width and ay < height):
+                continue
+            z = to_end[2, 0] * x + to_end[2, 1] * y + to_end[2, 2]
+            bx = (to_end[0, 0] * x + to_end[0, 1] * y + to_end[0, 2]) / z * K[0, 0] + K[0, 2]
+            by = (to_end[1, 0] * x + to_end[1, 1] * y + to_end[1, 2]) / z * K[1, 1] + K[1, 2]
+            exposure[r, q] += np.sqrt((bx - ax) ** 2 + (by - ay) ** 2)
+            r0, c0, r1, c1 = min(r0, r), min(c0, q), max(r1, r + 1), max(c1, q + 1)
+    return r0, c0, r1, c1
+
+
+@numba.njit(cache=True, nogil=True)
+def edge_block(votes, exposure, block, r0, c0, k, out):
+    """Write M = 1 - exp(-k votes / (exposure + 1)) of the block of cells that starts at (r0, c0)."""
+    for r in range(out.shape[0]):
+        for q in range(out.shape[1]):
+            v = votes[r0 + r, c0 + q]
+            if v <= 0.0:
+                out[r, q] = 0.0
+            else:
+                out[r, q] = 1.0 - np.exp(-k * v / (exposure[(r0 + r) // block, (c0 + q) // block] + 1.0))
+
+
+@numba.njit(cache=True, nogil=True)
+def occupied_percentile(votes, exposure, block, share):
+    """Return a percentile (`share` 0 to 1) of the rates of the cells that hold at least one vote."""
+    rows, cols = votes.shape
+    # A histogram of log2(rate) in eighths, from 2^-16 to 2^16: 9 % wide bins are ample for a saturation.
+    bins = np.zeros(256, dtype=np.int64)
+    count = 0
+    for r in range(rows):
+        e_row = r // block
+        for q in range(cols):
+            v = votes[r, q]
+            if v < 0.5:
+                continue
+            e = exposure[e_row, q // block]
+            if e <= 0.0:
+                continue
+            i = int((np.log2(v / (e + 1.0)) + 16.0) * 8.0)
+            bins[min(255, max(0, i))] += 1
+            count += 1
+    if count == 0:
+        return 0.0
+    seen = 0
+    for i in range(256):
+        seen += bins[i]
+        if seen >= share * count:
+            return 2.0 ** ((i + 0.5) / 8.0 - 16.0)
+    return 1.0
