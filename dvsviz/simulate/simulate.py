@@ -1,0 +1,208 @@
+"""Simulated recordings of a wall, with their truth.
+
+The wall is a plane with a picture; the camera moves in front of it; its event sensor is advanced in steps of at most
+half a pixel of image motion. Everything follows from the seed: the same call writes the same bits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvsviz.formats.hdf5 import RecordingWriter
+from dvsviz.geometry import se3
+from dvsviz.geometry.camera import Camera
+from dvsviz.geometry.plane import Plane, rotation_to_map
+from dvsviz.geometry.trajectory import Trajectory
+from dvsviz.simulate.event_camera import EventCamera, EventCameraModel
+from dvsviz.simulate.inertial import ImuModel, simulate_imu
+from dvsviz.simulate.motion import Motion, MotionName, make_motion
+from dvsviz.simulate.render import PixelGrid, render_plane
+from dvsviz.simulate.scenes import PAINTERS, Bounds, Painter, SceneName
+from dvsviz.simulate.texture import Texture
+
+Array = NDArray[np.float64]
+
+# Largest image motion between two rendered images, px: an edge is a few pixels wide, so a straight line between
+# images puts events within a few hundredths of a pixel.
+STEP_PX = 0.5
+_LONGEST_STEP_S = 5e-3
+# Events are sorted and written in pieces of this length.
+_FLUSH_S = 0.02
+_TRUTH_HZ = 500.0
+# The wall ends this far from the camera's first axis: tilted walls reach the horizon.
+_WALL_LIMIT_M = 8.0
+
+
+def default_camera() -> Camera:
+    """Return the simulated sensor's camera: 240 x 180, 62 degrees across, no distortion."""
+    return Camera(width=240, height=180, fx=200.0, fy=200.0, cx=119.5, cy=89.5)
+
+
+def wall(distance: float, tilt_deg: float) -> Plane:
+    """Return the wall: `distance` metres from the world's origin, turned by `tilt_deg` about an oblique axis."""
+    axis = np.array([0.5, np.sqrt(0.75), 0.0])
+    normal = se3.exp_so3(np.radians(tilt_deg) * axis) @ np.array([0.0, 0.0, -1.0])
+    return Plane(normal=normal, distance=distance * float(-normal[2]))
+
+
+def homographies(Ts_world_camera: Array, plane_world: Plane) -> Array:
+    """Return `H_map_camera` (N, 3, 3) of poses (N, 4, 4): as `plane.homography_map_camera`, for many."""
+    R, t = Ts_world_camera[:, :3, :3], Ts_world_camera[:, :3, 3]
+    n_camera = np.einsum("nji,j->ni", R, plane_world.normal)
+    d_camera = plane_world.distance + t @ plane_world.normal
+    H = rotation_to_map(plane_world.normal) @ (d_camera[:, None, None] * R - t[:, :, None] * n_camera[:, None, :])
+    return H / np.array([[1.0], [1.0], [plane_world.distance]])
+
+
+def border_bearings(camera: Camera, count: int = 9) -> Array:
+    """Return bearings (M, 3) along the border of the image and at its centre."""
+    x, y = np.linspace(0, camera.width - 1, count), np.linspace(0, camera.height - 1, count)
+    px = [(a, b) for a in x for b in (0, camera.height - 1)] + [(a, b) for a in (0, camera.width - 1) for b in y]
+    b = camera.bearings([*px, ((camera.width - 1) / 2, (camera.height - 1) / 2)])
+    return np.column_stack([b, np.ones(len(b))])
+
+
+def image_speed(motion: Motion, camera: Camera, plane_world: Plane | None, t_s: Array) -> Array:
+    """Return the largest speed (N,), px/s, of the scene's points over the image; a panorama without a plane."""
+    b = border_bearings(camera)
+    dt = 5e-4
+    T0, T1 = motion(t_s), motion(t_s + dt)
+    T_10 = se3.inverse(T1) @ T0
+    inverse_depth = np.zeros((len(t_s), len(b)))
+    if plane_world is not None:
+        n = np.einsum("nji,j->ni", T0[:, :3, :3], plane_world.normal)
+        d = plane_world.distance + T0[:, :3, 3] @ plane_world.normal
+        inverse_depth = np.clip(-(n @ b.T) / np.maximum(d, 1e-3)[:, None], 0, None)
+    p = np.einsum("nij,mj->nmi", T_10[:, :3, :3], b) + inverse_depth[:, :, None] * T_10[:, None, :3, 3]
+    moved = p[:, :, :2] / p[:, :, 2:] - b[:, :2]
+    return np.hypot(moved[..., 0] * camera.fx, moved[..., 1] * camera.fy).max(axis=1) / dt
+
+
+def step_times(speed: Array, t_s: Array, step_px: float = STEP_PX) -> Array:
+    """Return times from the first to the last of `t_s`, spaced so that the image moves at most `step_px` between."""
+    # The largest of neighbours: speed between two samples is not above it by more than its curvature.
+    peak = np.maximum(speed, np.maximum(np.roll(speed, 1), np.roll(speed, -1)))
+    per_s = np.maximum(peak * 1.05 / step_px, 1 / _LONGEST_STEP_S)
+    steps = np.concatenate([[0.0], np.cumsum((per_s[1:] + per_s[:-1]) / 2 * np.diff(t_s))])
+    return np.interp(np.linspace(0, steps[-1], int(np.ceil(steps[-1])) + 1), steps, t_s)
+
+
+def visible_bounds(camera: Camera, Hs_map_camera: Array, margin: float = 0.1) -> Bounds:
+    """Return the wall's rectangle (left, top, right, bottom), m, that is ever in view."""
+    p = np.einsum("nij,mj->nmi", Hs_map_camera, border_bearings(camera))
+    uv = p[..., :2] / np.maximum(p[..., 2:], 1e-3)
+    low, high = uv.min(axis=(0, 1)) - margin, uv.max(axis=(0, 1)) + margin
+    low, high = np.maximum(low, -_WALL_LIMIT_M), np.minimum(high, _WALL_LIMIT_M)
+    return float(low[0]), float(low[1]), float(high[0]), float(high[1])
+
+
+def simulate(
+    out: Path,
+    *,
+    scene: SceneName | Painter = "shapes",
+    motion: MotionName | Motion = "handheld",
+    seconds: float = 10.0,
+    seed: int = 1,
+    camera: Camera | None = None,
+    sensor: EventCameraModel | None = None,
+    imu: ImuModel | None = None,
+    distance: float = 1.0,
+    tilt_deg: float = 5.0,
+    frames_hz: float = 0.0,
+    progress: Callable[[float], None] | None = None,
+) -> None:
+    """Write a simulated recording with its ground truth.
+
+    Args:
+        out: the file, in our own layout.
+        scene: what is on the wall, or a function that paints it.
+        motion: of the camera, or a function of time that gives poses.
+        seconds: duration.
+        seed: of everything random.
+        camera: the lens and the pixels; 240 x 180 with a focal length of 200 px where none is given.
+        sensor: the event sensor; the default one has thresholds of 0.25.
+        imu: the inertial sensor; the default one has 1 kHz.
+        distance: metres to the wall along the world's z axis.
+        tilt_deg: angle between the wall and the world's image plane, in degrees, below 80.
+        frames_hz: intensity frames a second, 0 for none.
+        progress: called with the share done, 0 to 1.
+
+    Raises:
+        ValueError: an argument is out of range, or the camera would pass through the wall.
+    """
+    if not 0 < seconds <= 36_000:
+        raise ValueError(f"seconds: expected 0 to 36000, got {seconds}")
+    if not distance > 0 or not 0 <= tilt_deg < 80:
+        raise ValueError(
+            f"distance, tilt_deg: expected metres above 0 and 0 to 80 degrees, got {distance}, {tilt_deg}"
+        )
+    camera = default_camera() if camera is None else camera
+    rngs = [np.random.default_rng([seed, i]) for i in range(5)]
+    path = make_motion(motion, rngs[0], seconds, distance=distance) if isinstance(motion, str) else motion
+    if isinstance(scene, str) and scene not in PAINTERS:
+        raise ValueError(f"scene: expected {', '.join(PAINTERS)}, got {scene!r}")
+    painter = PAINTERS[scene] if isinstance(scene, str) else scene
+    plane = wall(distance, tilt_deg)
+
+    coarse_s = np.linspace(0, seconds, int(np.ceil(seconds * 1000)) + 1)
+    Ts = path(coarse_s)
+    distances = plane.distance + Ts[:, :3, 3] @ plane.normal
+    if distances.min() < 0.02 * distance:
+        raise ValueError(f"motion: the camera comes within {distances.min():.3f} m of the wall")
+    times = step_times(image_speed(path, camera, plane, coarse_s), coarse_s)
+    Hs = homographies(path(times), plane)
+    # Two texels a pixel at the nearest: an edge's place is then good to a hundredth of a pixel.
+    texel = 0.6 * float(np.percentile(distances, 5)) / max(camera.fx, camera.fy)
+    texture = painter(rngs[1], visible_bounds(camera, Hs), texel)
+
+    grid = PixelGrid.of(camera)
+    image = np.empty((camera.height, camera.width), np.float32)
+    active = np.ones(grid.rows * grid.columns, np.bool_)
+    _render_all(grid, texture, Hs[0], image, active)
+    pixels = EventCamera(EventCameraModel() if sensor is None else sensor, image, 0.0, rngs[2])
+    first_us: int | None = None
+    last_us = 0
+    next_flush_s, next_frame_s = _FLUSH_S, 0.0
+    with RecordingWriter(out, camera=camera) as writer:
+        for k, t in enumerate(times):
+            if k:
+                render_plane(grid, texture, Hs[k], image, active)
+                pixels.step(image, t, active)
+            if frames_hz > 0 and t >= next_frame_s:
+                writer.append_frame(round(t * 1e6), np.round(np.clip(image, 0, 1) * 255).astype(np.uint8))
+                next_frame_s += 1 / frames_hz
+            if t >= next_flush_s or k == len(times) - 1:
+                events = pixels.flush(image, t)
+                if len(events):
+                    first_us = int(events.t_us[0]) if first_us is None else first_us
+                    last_us = int(events.t_us[-1])
+                    writer.append(events)
+                next_flush_s = t + _FLUSH_S
+                if progress is not None:
+                    progress(float(t / seconds))
+        if first_us is None:
+            raise ValueError("seconds: the recording would hold no event; make it longer or the scene richer")
+        writer.set_ground_truth(_truth(path, first_us, last_us))
+        writer.set_imu(simulate_imu(ImuModel() if imu is None else imu, path, seconds, rngs[3]))
+        writer.set_plane(
+            mean_plane_distance=float(distances.mean()), normal_world=plane.normal, distance_world=plane.distance
+        )
+
+
+def _render_all(
+    grid: PixelGrid, texture: Texture, H: Array, image: NDArray[np.float32], active: NDArray[np.bool_]
+) -> None:
+    """Render every block, those of one intensity too."""
+    render_plane(grid, replace(texture, clearance=np.zeros_like(texture.clearance)), H, image, active)
+
+
+def _truth(motion: Motion, first_us: int, last_us: int) -> Trajectory:
+    """Return the true poses from the first to the last event, both included."""
+    step = round(1e6 / _TRUTH_HZ)
+    t_us = np.unique(np.append(np.arange(first_us, last_us, step), last_us)).astype(np.int64)
+    return Trajectory(t_us=t_us, Ts_world_camera=motion((t_us * 1e-6).astype(np.float64)))
