@@ -1,0 +1,65 @@
+// Calls to the server. Every refusal becomes an ApiError with the server's own sentence.
+
+export class ApiError extends Error {
+  constructor(message, status) {
+    super(message);
+    this.status = status;
+  }
+
+  /** The server does not know this browser: a token is needed. */
+  get isDoor() {
+    return this.status === 401 || this.status === 403;
+  }
+}
+
+async function call(path, options = {}) {
+  let answer;
+  try {
+    answer = await fetch(path, { credentials: "same-origin", cache: "no-store", ...options });
+  } catch {
+    throw new ApiError("The server does not answer.", 0);
+  }
+  if (answer.ok) return answer;
+  const text = await answer.text();
+  let sentence = "";
+  try {
+    sentence = JSON.parse(text).error;
+  } catch {
+    sentence = text.length < 200 ? text : "";
+  }
+  throw new ApiError(sentence || `The server answered ${answer.status}.`, answer.status);
+}
+
+const post = (path, body) =>
+  call(path, { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body) });
+const place = (name) => `/api/sessions/${encodeURIComponent(name)}`;
+
+/** Changes the token for a cookie; 403 when it is not this server's. */
+export const login = (token) => post("/api/login", { token });
+export const sessions = async () => (await call("/api/sessions")).json();
+export const session = async (name) => (await call(place(name))).json();
+export const startExport = async (name, to) => (await (await post(`${place(name)}/export`, { to })).json()).id;
+export const exportAddress = (id) => `/api/exports/${encodeURIComponent(id)}`;
+export const run = (name, action) => post(`/api/runs/${encodeURIComponent(name)}`, { action });
+
+/** Columns from window `start` on: `{start, count, columns: {name: typed array}}`. */
+export async function columns(name, start) {
+  return decodeColumns(await (await call(`${place(name)}/columns?start=${start}`)).arrayBuffer());
+}
+
+const TYPES = { f64: Float64Array, f32: Float32Array, u8: Uint8Array, i32: Int32Array, u32: Uint32Array };
+const ALIASES = { float64: "f64", "<f8": "f64", f8: "f64", float32: "f32", "<f4": "f32", f4: "f32", uint8: "u8", "|u1": "u8", u1: "u8" };
+
+/** Reads the binary answer: length, JSON header, then each column whole, all at multiples of 8 bytes. */
+export function decodeColumns(buffer) {
+  const length = new DataView(buffer).getUint32(0, true);
+  const header = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)));
+  let offset = 4 + length;
+  const columns = {};
+  for (const { name, dtype, width = 1 } of header.columns) {
+    const Type = TYPES[ALIASES[dtype] ?? dtype];
+    columns[name] = new Type(buffer, offset, header.count * (width || 1));
+    offset += Math.ceil((header.count * (width || 1) * Type.BYTES_PER_ELEMENT) / 8) * 8;
+  }
+  return { start: header.start, count: header.count, columns };
+}

@@ -1,0 +1,56 @@
+// The strip in the header for a session that is being written: how fast, how far behind, follow, pause, stop.
+
+import { run } from "./api.js";
+import { byId, make, setText } from "./dom.js";
+import { fixed, megaRate, percent } from "./format.js";
+
+/** Asks before something that cannot be taken back; resolves to whether it is wanted. */
+export function ask(title, text, yes) {
+  const dialog = byId("ask");
+  dialog.replaceChildren(
+    make("h2", { id: "ask-title" }, title),
+    make("p", {}, text),
+    make("form", { method: "dialog" }, make("button", { value: "no", autofocus: true }, "Keep going"), make("button", { value: "yes", class: "danger" }, yes)),
+  );
+  dialog.returnValue = "no";
+  dialog.showModal();
+  return new Promise((resolve) => dialog.addEventListener("close", () => resolve(dialog.returnValue === "yes"), { once: true }));
+}
+
+/** `follow()` takes the playhead to the end and keeps it there; `problem(sentence)` says what went wrong. */
+export function liveStrip(state, { follow, problem }) {
+  let paused = false;
+  const act = async (action) => {
+    try {
+      await run(state.session, action);
+      return true;
+    } catch (error) {
+      problem(error.message);
+      return false;
+    }
+  };
+  byId("follow").addEventListener("click", () => (state.following ? state.set({ following: false }) : follow()));
+  byId("run-pause").addEventListener("click", async () => {
+    if (await act(paused ? "resume" : "pause")) paused = !paused;
+    setText(byId("run-pause"), paused ? "go on" : "pause run");
+  });
+  byId("run-cancel").addEventListener("click", async () => {
+    if (await ask("Stop this run?", "Tracking ends here. What was tracked so far stays and can be resumed from the command line.", "Stop the run")) await act("cancel");
+  });
+  state.watch(["session"], () => {
+    paused = false;
+    setText(byId("run-pause"), "pause run");
+  });
+  state.watch(["live", "progress", "following", "detail"], () => {
+    byId("live").hidden = !state.live;
+    byId("follow").setAttribute("aria-pressed", String(state.following));
+    setText(byId("follow"), state.following ? "following" : "follow");
+    const p = state.progress;
+    const parts = [];
+    if (Number.isFinite(p?.share)) parts.push(percent(p.share));
+    if (Number.isFinite(p?.events_per_second)) parts.push(megaRate(p.events_per_second));
+    if (Number.isFinite(p?.real_time_factor)) parts.push(`${fixed(p.real_time_factor, 1)}× real time`);
+    if (Number.isFinite(p?.lag_s)) parts.push(`${fixed(p.lag_s, 1)} s behind`);
+    setText(byId("live-text"), parts.join(" · "));
+  });
+}

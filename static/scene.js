@@ -1,0 +1,73 @@
+// The 3-D scene in the centre: viser in a frame, asked for only after the first images are on the screen,
+// because a frame of the same origin shares the page's thread.
+
+import { byId, make } from "./dom.js";
+
+const PATIENCE_MS = 1500;
+
+/** Whether WebGL is drawn by the processor: then half the pixels halve the time of a frame. */
+function isSoftware() {
+  const gl = document.createElement("canvas").getContext("webgl2");
+  if (!gl) return null;
+  const info = gl.getExtension("WEBGL_debug_renderer_info");
+  const name = String(gl.getParameter(info ? info.UNMASKED_RENDERER_WEBGL : gl.RENDERER));
+  gl.getExtension("WEBGL_lose_context")?.loseContext();
+  return /swiftshader|llvmpipe|software|basic render/i.test(name);
+}
+
+export class Scene {
+  #frame = null;
+  #timer = 0;
+  #wanted = null;
+
+  /** `send(message)` tells the server which layers are on. */
+  constructor(state, send) {
+    this.state = state;
+    for (const button of document.querySelectorAll("[data-layer]"))
+      button.addEventListener("click", () => {
+        const layers = { ...state.layers, [button.dataset.layer]: !state.layers[button.dataset.layer] };
+        state.set({ layers });
+        send({ type: "layers", layers });
+      });
+    state.watch(["layers", "detail"], () => {
+      for (const button of document.querySelectorAll("[data-layer]")) button.setAttribute("aria-pressed", String(state.layers[button.dataset.layer]));
+      document.querySelector("[data-layer=truth]").hidden = !state.detail?.ground_truth;
+    });
+    state.watch(["shown"], () => state.shown !== null && this.#load());
+  }
+
+  /** The address of the tab's scene is known; it is loaded after the first images, or when they do not come. */
+  prepare(address) {
+    if (!address || this.#wanted === address) return;
+    this.#wanted = address;
+    clearTimeout(this.#timer);
+    this.#timer = setTimeout(() => this.#load(), PATIENCE_MS);
+  }
+
+  #load() {
+    if (!this.#wanted || this.#frame?.dataset.address === this.#wanted) return;
+    clearTimeout(this.#timer);
+    const software = isSoftware();
+    if (software === null) return this.#without();
+    const url = new URL(this.#wanted, location.href);
+    url.searchParams.set("hideViserLogo", "");
+    if (software) url.searchParams.set("fixedDpr", "0.5");
+    this.#frame?.remove();
+    this.#frame = make("iframe", { src: url.href, title: "3-D scene: map, trajectory, keyframes and camera", dataset: { address: this.#wanted } });
+    // The keys of the page work in the scene too, unless it wants them for a field of its own.
+    this.#frame.addEventListener("load", () => {
+      this.#frame.contentWindow.addEventListener("keydown", (event) => {
+        if (event.target.matches?.("input, textarea, select")) return;
+        const copy = new KeyboardEvent("keydown", { key: event.key, shiftKey: event.shiftKey, ctrlKey: event.ctrlKey, metaKey: event.metaKey, altKey: event.altKey, bubbles: true, cancelable: true });
+        if (!document.body.dispatchEvent(copy)) event.preventDefault();
+      });
+    });
+    byId("scene").append(this.#frame);
+  }
+
+  #without() {
+    const empty = byId("scene-empty");
+    empty.hidden = false;
+    empty.replaceChildren(make("h2", {}, "No 3-D scene"), make("p", {}, "This browser offers no WebGL 2. Images, numbers and the timeline work without it."));
+  }
+}
