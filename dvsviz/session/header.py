@@ -1,0 +1,111 @@
+"""What a session says about itself: the recording, the camera, the configuration, the program."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from dvsviz.geometry.camera import Camera
+
+_TEXTS = ("recording_path", "recording_name", "recording_format", "config_json", "program_version", "created")
+_INTEGERS = ("events", "first_us", "last_us", "seed")
+_LENGTHS = ("mean_plane_distance", "plane_distance_world")
+_CAMERA_NUMBERS = ("fx", "fy", "cx", "cy")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SessionHeader:
+    """What was run; written once, when a session is created.
+
+    Attributes:
+        recording_path: where the recording was.
+        recording_name: its stem.
+        recording_format: its layout, as `dvsviz info` prints it.
+        events: events in the recording.
+        first_us: time of its first event.
+        last_us: time of its last event.
+        camera: calibration that was used.
+        config_json: `TrackerConfig.to_json()`.
+        program_version: version of dvsviz that wrote it.
+        seed: of every random choice.
+        created: ISO 8601 date and time with offset.
+        mean_plane_distance: metres, or None.
+        plane_normal_world: unit normal (3,) of the true plane in the ground truth's world, or None.
+        plane_distance_world: its distance from that world's origin, m, or None.
+    """
+
+    recording_path: str
+    recording_name: str
+    recording_format: str
+    events: int
+    first_us: int
+    last_us: int
+    camera: Camera
+    config_json: str = "{}"
+    program_version: str = ""
+    seed: int = 0
+    created: str = ""
+    mean_plane_distance: float | None = None
+    plane_normal_world: NDArray[np.float64] | None = None
+    plane_distance_world: float | None = None
+
+    @property
+    def duration_s(self) -> float:
+        """Seconds from the recording's first to its last event."""
+        return (self.last_us - self.first_us) * 1e-6
+
+
+def write_header(file: h5py.File, header: SessionHeader) -> None:
+    """Write a header as attributes of the root and of `camera`; what is None is left out."""
+    for field in dataclasses.fields(header):
+        value = getattr(header, field.name)
+        if value is not None and field.name != "camera":
+            file.attrs[field.name] = value
+    camera = file.create_group("camera")
+    camera.attrs["width"], camera.attrs["height"] = header.camera.width, header.camera.height
+    for name in _CAMERA_NUMBERS:
+        camera.attrs[name] = getattr(header.camera, name)
+    camera.attrs["distortion"] = np.array(header.camera.distortion, dtype=np.float64)
+    camera.attrs["is_guess"] = header.camera.is_guess
+
+
+def read_header(file: h5py.File) -> SessionHeader:
+    """Return the header of an open session file.
+
+    Raises:
+        KeyError, TypeError, ValueError: an attribute is missing or of the wrong kind.
+    """
+    a = dict[str, Any](file.attrs.items())
+    normal = np.asarray(a["plane_normal_world"], dtype=np.float64) if "plane_normal_world" in a else None
+    if normal is not None and normal.shape != (3,):
+        raise ValueError(f"plane_normal_world: expected (3,), got {normal.shape}")
+    values: dict[str, Any] = {name: _text(a[name]) for name in _TEXTS}
+    values |= {name: int(a[name]) for name in _INTEGERS}
+    values |= {name: float(a[name]) for name in _LENGTHS if name in a}
+    return SessionHeader(plane_normal_world=normal, camera=_read_camera(file), **values)
+
+
+def _read_camera(file: h5py.File) -> Camera:
+    a = dict[str, Any](file["camera"].attrs.items())
+    distortion = np.asarray(a["distortion"], dtype=np.float64)
+    if distortion.shape != (5,):
+        raise ValueError(f"camera distortion: expected (5,), got {distortion.shape}")
+    k1, k2, p1, p2, k3 = (float(value) for value in distortion)
+    return Camera(
+        width=int(a["width"]),
+        height=int(a["height"]),
+        distortion=(k1, k2, p1, p2, k3),
+        is_guess=bool(a["is_guess"]),
+        **{name: float(a[name]) for name in _CAMERA_NUMBERS},
+    )
+
+
+def _text(value: object) -> str:
+    if not isinstance(value, str):
+        raise TypeError(f"expected text, got {type(value).__name__}")
+    return value
