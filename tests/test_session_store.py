@@ -145,8 +145,7 @@ def test_a_growing_session_is_read_by_another_thread_of_the_same_process(tmp_pat
     pool = ThreadPoolExecutor(1)
     reader = pool.submit(read)
     for k in range(WINDOWS):
-        writer.append(samples.result(k))
-        writer.add(samples.updates(k))
+        writer.append(samples.result(k), samples.updates(k))
         if k % 5 == 4:
             writer.flush()
     assert open_session(path).is_live

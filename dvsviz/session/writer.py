@@ -130,8 +130,8 @@ class SessionWriter:
         """Windows appended so far."""
         return self._windows
 
-    def append(self, result: WindowResult) -> None:
-        """Append one window.
+    def append(self, result: WindowResult, updates: TrackerUpdates | None = None) -> None:
+        """Append one window, and in the same commit what was made with it.
 
         Raises:
             ValueError: it is not the next window.
@@ -140,16 +140,29 @@ class SessionWriter:
         with self._queue_lock:
             if result.window != self._windows:
                 raise ValueError(f"window: expected {self._windows}, got {result.window}")
-            self._windows += 1
             self._put(result)
+            self._windows += 1
+            if updates is not None:
+                self._put_updates(updates)
 
     def add(self, updates: TrackerUpdates) -> None:
-        """Append keyframes, map revisions, refined poses, failures and log lines, after the windows so far."""
+        """Append keyframes, map revisions, refined poses, failures and log lines, after the windows so far.
+
+        Raises:
+            ValueError: a refined pose has no window yet.
+            SessionError: the session cannot be written.
+        """
         with self._queue_lock:
-            for refined in updates.refined:
-                if len(refined.windows) and not 0 <= refined.windows.min() <= refined.windows.max() < self._windows:
-                    raise ValueError(f"refined.windows: expected 0 to {self._windows - 1}, got {refined.windows}")
-            self._put((self._windows, updates))
+            self._put_updates(updates)
+
+    def _put_updates(self, updates: TrackerUpdates) -> None:
+        for refined in updates.refined:
+            windows = refined.windows
+            if len(windows) and not 0 <= windows.min() <= windows.max() < self._windows:
+                raise ValueError(
+                    f"refined.windows: expected 0 to {self._windows - 1}, got {windows.min()} to {windows.max()}"
+                )
+        self._put((self._windows, updates))
 
     def note(self, entry: LogEntry) -> None:
         """Append one line to the log."""
