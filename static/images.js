@@ -1,12 +1,12 @@
 // The images of a window: decoded in a worker, only the latest painted, sharp to the pixel.
 
 import { byId, make, setText } from "./dom.js";
-import { fixed, percent, whole } from "./format.js";
+import { fixed, whole } from "./format.js";
 
 export const KINDS = [
   { kind: "raw", name: "raw", title: "The window's events as they were recorded, undistorted", note: (v) => `${whole(v.events)} events` },
   { kind: "warped", name: "warped", title: "The same events moved back along the estimated velocity: sharp where it is right", note: (v) => `contrast ×${fixed(v.contrast_after / v.contrast_before)}` },
-  { kind: "map", name: "on map", title: "The warped window on the map seen from its pose: edges that the map explains, and those that it does not", note: (v) => (Number.isFinite(v.overlap) ? `${percent(v.overlap)} explained` : "no map yet") },
+  { kind: "map", name: "on map", title: "The warped window on the map seen from its pose: edges that the map explains, and those that it does not", note: () => "" },
   { kind: "texture", name: "texture", title: "The map as it was at this window", note: () => "" },
 ];
 
@@ -30,14 +30,15 @@ export class Images {
     const canvas = make("canvas", { width: 4, height: 3, role: "img", "aria-label": `${name}: ${title}` });
     const note = make("span", { class: "dim number" });
     const missing = make("span", { class: "missing dim" });
-    const legend = kind === "map" ? make("span", { class: "edge-legend" }, make("i", { class: "explained" }), "explained", make("i", { class: "unexplained" }), "new") : null;
+    const explained = make("span", {}, "explained");
+    const legend = kind === "map" ? make("span", { class: "edge-legend number" }, make("i", { class: "explained" }), explained, make("i", { class: "unexplained" }), "new") : null;
     const figure = make(
       "button",
       { class: "cell", dataset: { kind }, "aria-pressed": "false", title: `${title} (${i + 1}: enlarge)`, on: { click: () => this.enlarge(kind) } },
       make("span", { class: "caption" }, make("b", {}, name), legend, make("span", { class: "spring" }), note),
       make("span", { class: "picture" }, canvas, missing),
     );
-    this.#cells.set(kind, { figure, canvas, note, missing, pen: canvas.getContext("2d") });
+    this.#cells.set(kind, { figure, canvas, note, missing, explained, pen: canvas.getContext("2d") });
     return figure;
   }
 
@@ -63,6 +64,11 @@ export class Images {
   clear(why = "") {
     this.#next = null;
     this.#painted = Infinity;
+    this.blank(why);
+  }
+
+  /** Says in the place of the images why there are none. */
+  blank(why) {
     for (const cell of this.#cells.values()) this.#blank(cell, why);
   }
 
@@ -98,6 +104,7 @@ export class Images {
       const cell = this.#cells.get(kind);
       const i = images.findIndex((image) => image.kind === kind);
       setText(cell.note, values ? note(values) : "");
+      setText(cell.explained, Number.isFinite(values?.overlap) ? `${fixed(100 * values.overlap, 0)} % explained` : "explained");
       if (i < 0) {
         this.#blank(cell, images.length ? (kind === "raw" ? "no events" : "no map yet") : values?.note || "no images");
         continue;

@@ -79,7 +79,7 @@ export function toggleHelp() {
     make(
       "div",
       { class: "help-columns" },
-      ...KEYS.map(([title, rows]) => list(title, rows.map(([keys, text]) => [keys.map((key) => NAMES[key] ?? key.toUpperCase()), text]))),
+      ...KEYS.map(([title, rows]) => list(title, rows.map(([keys, text]) => [keys.map((key) => NAMES[key] ?? (key.length === 1 ? key.toUpperCase() : key)), text]))),
       list("On the timeline", POINTER.map(([key, text]) => [[key], text])),
     ),
   );

@@ -4,6 +4,9 @@ import { themeColour } from "./dom.js";
 import { fixed } from "./format.js";
 import { BY_BADNESS, STATES } from "./status.js";
 
+/** The type on canvases, as in theme.css. */
+export const FONT = themeColour("--font");
+
 const STEPS = [1, 2, 5];
 
 /** Round tick positions, about `count` of them. */
@@ -64,7 +67,7 @@ export function drawStates(pen, columns, scale, top, height, fills, letters = tr
     pen.fillStyle = fills[now];
     pen.fillRect(from, top, to - from, height);
     if (letters && to - from > 14 && height >= 11) {
-      pen.font = `700 ${Math.min(11, height - 3)}px system-ui, sans-serif`;
+      pen.font = `700 ${Math.min(11, height - 3)}px ${FONT}`;
       pen.textAlign = "left";
       pen.textBaseline = "middle";
       pen.fillStyle = themeColour(STATES[BY_BADNESS[now]].colour);
@@ -145,25 +148,27 @@ export function drawLaneLabels(pen, lane, box, value) {
   const middle = top + height / 2;
   pen.textBaseline = "middle";
   pen.textAlign = "left";
-  pen.font = `${font}px system-ui, sans-serif`;
+  pen.font = `${font}px ${FONT}`;
   pen.fillStyle = ink;
   pen.fillText(lane.label, font, middle);
   const wide = pen.measureText(`${lane.label} `).width;
   pen.fillStyle = dim;
-  pen.font = `${font - 1.5}px system-ui, sans-serif`;
+  pen.font = `${font - 1.5}px ${FONT}`;
   pen.fillText(lane.unit, font + wide, middle);
   if (value !== null) {
-    pen.font = `600 ${font}px system-ui, sans-serif`;
+    pen.font = `600 ${font}px ${FONT}`;
     pen.textAlign = "right";
     pen.fillStyle = lane.ink;
     pen.fillText(fixed(value * (lane.gain ?? 1), lane.digits), left - font * 0.7, middle);
   }
-  pen.font = `${font - 2.5}px system-ui, sans-serif`;
+  pen.font = `${font - 2.5}px ${FONT}`;
   pen.textAlign = "left";
   pen.fillStyle = dim;
   const axis = (number) => String(+number.toPrecision(3)).replace("-", "−");
-  pen.fillText(axis(lane.range[1]), right + 5, top + 3);
-  pen.fillText(axis(lane.range[0]), right + 5, top + height - 2);
+  // Low lanes have room for one line only.
+  if (height < 2.6 * font) return pen.fillText(`${axis(lane.range[0])}–${axis(lane.range[1])}`, right + 5, middle);
+  pen.fillText(axis(lane.range[1]), right + 5, top + 5);
+  pen.fillText(axis(lane.range[0]), right + 5, top + height - 4);
 }
 
 /** Seconds as an axis label: the decimals that the step needs, minutes above 60 s. */

@@ -1,8 +1,7 @@
-// The composition root of the page: it opens sessions, moves the playhead and knows all parts.
+// The composition root of the page: it makes the parts and connects them.
 
 import { address, readAddress, writeAddress } from "./address.js";
 import * as api from "./api.js";
-import { Columns } from "./columns.js";
 import { byId, make, setText } from "./dom.js";
 import { closeDoor, showBanner, showDoor, showEmpty } from "./door.js";
 import { Exports } from "./exports.js";
@@ -16,21 +15,28 @@ import { listen } from "./pointer.js";
 import { Scene } from "./scene.js";
 import { Seeker } from "./seeker.js";
 import { Sessions } from "./sessions.js";
-import { Socket, tabId } from "./socket.js";
 import { sideGrip } from "./side.js";
+import { Socket, tabId } from "./socket.js";
 import { state } from "./state.js";
-import { paintBadge, STATES } from "./status.js";
+import { paintBadge } from "./status.js";
 import { themes } from "./theme.js";
 import { Timeline } from "./timeline.js";
 import { Transport } from "./transport.js";
+import { Viewing } from "./viewing.js";
+
+const UNANSWERED = "The server does not answer. This page comes back by itself when it does.";
+const FLASH_MS = 6000;
+const RELOAD_MS = 3000;
 
 const socket = new Socket(tabId());
 const seeker = new Seeker((message) => socket.send(message));
 const timeline = new Timeline();
-const images = new Images(shown);
-const transport = new Transport(state, seek);
-const failures = new Failures(state, byHand);
+const images = new Images((message) => viewing.shown(message));
+const transport = new Transport(state, (window) => viewing.seek(window));
 const scene = new Scene(state, (message) => socket.send(message));
+const viewing = new Viewing({ state, socket, seeker, images, transport, timeline, scene }, { door, flash });
+const byHand = (window) => viewing.byHand(window);
+const failures = new Failures(state, byHand);
 const list = new Sessions(state);
 const exporting = new Exports(state);
 new Numbers(state);
@@ -39,143 +45,7 @@ const nextTheme = themes(() => {
   list.restyle();
 });
 sideGrip();
-liveStrip(state, { follow, problem: flash });
-
-let opening = 0; // counts opened sessions: answers for an older one are dropped
-let growing = null; // the fetch of new windows that is under way
-let waiting = []; // promises of the script interface: {request, resolve}
-
-// Opening ------------------------------------------------------------------------------------------------
-
-/** Opens a session at a window (null: where it is best to begin); resolves when its images are shown. */
-async function open(name, window = null) {
-  const mine = ++opening;
-  transport.pause();
-  seeker.reset();
-  images.clear("loading");
-  state.set({ session: name, detail: null, columns: null, windows: 0, window: 0, shown: null, values: null, live: false, following: false, progress: null, loop: null, problem: null });
-  timeline.setLoop(null);
-  timeline.show({ columns: null, detail: null }, true);
-  showEmpty(null);
-  socket.send({ type: "open", session: name });
-  try {
-    const detail = await api.session(name);
-    const columns = new Columns(detail.statuses.map((status) => STATES[status]?.badness ?? 0));
-    const answer = await api.columns(name, 0);
-    if (mine !== opening) return;
-    columns.append(answer);
-    const live = detail.state === "live";
-    state.set({ detail, columns, windows: columns.count, live });
-    timeline.show(state, true);
-    scene.prepare(detail.viser);
-    if (!columns.count) return nothingYet(live);
-    const first = window ?? (live ? columns.count - 1 : (detail.failures[0]?.worst ?? Math.floor(columns.count / 2)));
-    if (live && window === null) state.set({ following: true });
-    images.accept(seeker.request + 1);
-    seek(Math.max(0, Math.min(columns.count - 1, first)), true);
-    await arrived();
-  } catch (error) {
-    if (mine === opening) refuse(error, name);
-  }
-}
-
-function nothingYet(live) {
-  images.clear("");
-  images.accept(seeker.request + 1);
-  if (live) state.set({ following: true });
-  showEmpty(live ? "Starting" : "No windows", live ? "The first window is on its way." : "This session holds no windows: its run ended before the first one.");
-}
-
-function refuse(error, name) {
-  if (error.isDoor) return door("The server does not know this browser.");
-  state.set({ problem: error.message });
-  images.clear("");
-  const what = error.status === 404 ? `There is no session called “${name}”` : "This session cannot be shown";
-  showEmpty(what, error.status === 404 ? "It may have been renamed or moved. Choose another from the list." : error.message);
-}
-
-// The playhead -------------------------------------------------------------------------------------------
-
-/** Moves the playhead and asks for the images; called by playing, following and everything below. */
-function seek(window, force = false) {
-  if (!state.windows || (window === state.window && !force)) return;
-  state.set({ window });
-  ask();
-}
-
-/** Moved by a person: a live session is not followed any longer. */
-function byHand(window) {
-  state.set({ following: false });
-  seek(window);
-  transport.restart();
-}
-
-function ask() {
-  const kinds = images.large ? [images.large] : KINDS.map(({ kind }) => kind);
-  seeker.want(state.session, state.window, kinds, { polarity: state.polarity, scale: 1 });
-}
-
-/** Images of a window are on the screen. */
-function shown(message) {
-  if (message.session !== state.session) return;
-  state.set({ shown: message.window, values: message.values });
-  window.dispatchEvent(new CustomEvent("dvsviz-shown", { detail: { window: message.window, at: performance.now() } }));
-  const ready = waiting.filter(({ request }) => request <= message.request);
-  waiting = waiting.filter(({ request }) => request > message.request);
-  for (const { resolve } of ready) resolve();
-}
-
-/** Resolves when the newest request, or a later one, is on the screen. */
-function arrived() {
-  // The wish may not be sent yet: it will have the next number.
-  return new Promise((resolve) => waiting.push({ request: seeker.newest, resolve }));
-}
-
-function follow() {
-  if (!state.live) return;
-  transport.pause();
-  state.set({ following: true });
-  seek(state.windows - 1);
-}
-
-// Growing ------------------------------------------------------------------------------------------------
-
-function grown(message) {
-  if (message.session !== state.session) return;
-  if (message.progress) state.set({ progress: message.progress });
-  if (message.windows > state.windows || message.state !== state.detail?.state) grow();
-}
-
-/** Fetches what a live session has more; one fetch at a time, at most a few a second. */
-function grow() {
-  growing ??= fetchMore().finally(() => {
-    growing = null;
-  });
-}
-
-async function fetchMore() {
-  const mine = opening;
-  const { session, columns } = state;
-  if (!columns) return;
-  try {
-    const detail = await api.session(session);
-    // At the end refined poses and errors of all windows are known: everything is read again.
-    const answer = await api.columns(session, detail.state === "live" ? columns.count : 0);
-    if (mine !== opening) return;
-    columns.append(answer);
-    const empty = !state.windows && columns.count > 0;
-    const live = detail.state === "live";
-    state.set({ detail, windows: columns.count, live });
-    if (empty) showEmpty(null);
-    timeline.show(state);
-    if (state.following && columns.count) seek(columns.count - 1, empty);
-    if (!live) state.set({ following: false, progress: null });
-  } catch (error) {
-    if (error.isDoor) door("The server does not know this browser any more.");
-    else flash(error.message);
-  }
-  await new Promise((resolve) => setTimeout(resolve, 200));
-}
+liveStrip(state, { follow: () => viewing.follow(), problem: flash });
 
 // Messages -----------------------------------------------------------------------------------------------
 
@@ -186,14 +56,14 @@ socket.addEventListener("open", () => {
   if (!state.session) return;
   socket.send({ type: "open", session: state.session });
   socket.send({ type: "layers", layers: state.layers });
-  if (state.windows) ask();
-  if (state.live) grow();
+  viewing.ask();
+  if (state.live) viewing.grow();
 });
 socket.addEventListener("closed", async ({ detail: { tries } }) => {
   state.set({ connected: false });
   seeker.reset();
   if (tries < 2) return;
-  showBanner("The server does not answer. This page comes back by itself when it does.");
+  showBanner(UNANSWERED);
   try {
     await api.sessions();
   } catch (error) {
@@ -201,7 +71,7 @@ socket.addEventListener("closed", async ({ detail: { tries } }) => {
   }
 });
 socket.addEventListener("sessions", ({ detail: { sessions } }) => listed(sessions));
-socket.addEventListener("grown", ({ detail }) => grown(detail));
+socket.addEventListener("grown", ({ detail }) => viewing.grown(detail));
 socket.addEventListener("export", ({ detail }) => exporting.take(detail));
 socket.addEventListener("error", ({ detail }) => detail?.text && flash(detail.text));
 socket.addEventListener("images", ({ detail }) => {
@@ -214,7 +84,7 @@ function listed(sessions) {
   state.set({ sessions });
   if (!state.session && sessions.length) {
     const best = sessions.find(({ state: is }) => is === "live") ?? sessions[0];
-    open(best.name);
+    viewing.open(best.name);
   } else if (first && !sessions.length) {
     showEmpty("No sessions yet", "Track a recording, and it appears here while it is being tracked:", make("pre", {}, "dvsviz track RECORDING"), "A recording is an HDF5 file, a folder or a zip in the UZH format, or a simulated one: dvsviz simulate --out r.h5");
   }
@@ -224,7 +94,7 @@ let flashing = 0;
 function flash(text) {
   showBanner(text);
   clearTimeout(flashing);
-  flashing = setTimeout(() => state.connected && showBanner(null), 6000);
+  flashing = setTimeout(() => state.connected && showBanner(null), FLASH_MS);
 }
 
 // What the header and the strip over the scene say ----------------------------------------------------------
@@ -284,18 +154,18 @@ function step(windows) {
 
 function togglePolarity() {
   state.set({ polarity: !state.polarity });
-  if (state.windows) ask();
+  viewing.ask();
 }
 
 function enlarge(kind) {
   images.enlarge(kind);
-  if (state.windows) ask();
+  viewing.ask();
 }
 
 const zoomAt = (factor) => timeline.zoom(factor, state.timeOf(state.window) || 0);
 byId("help-button").addEventListener("click", toggleHelp);
 byId("polarity").addEventListener("click", togglePolarity);
-byId("images").addEventListener("click", () => state.windows && ask());
+byId("images").addEventListener("click", () => viewing.ask());
 listenToKeys({
   toggle: () => transport.toggle(),
   forward: () => step(1),
@@ -303,7 +173,7 @@ listenToKeys({
   forwardTen: () => step(10),
   backTen: () => step(-10),
   first: () => (state.set({ following: false }), transport.jump(0)),
-  last: () => (state.live ? follow() : transport.jump(state.windows - 1)),
+  last: () => (state.live ? viewing.follow() : transport.jump(state.windows - 1)),
   faster: () => transport.faster(1),
   slower: () => transport.faster(-1),
   nextFailure: () => failures.next(),
@@ -316,7 +186,7 @@ listenToKeys({
   zoomIn: () => zoomAt(0.5),
   zoomOut: () => zoomAt(2),
   fit: () => timeline.fit(),
-  follow: () => (state.following ? state.set({ following: false }) : follow()),
+  follow: () => (state.following ? state.set({ following: false }) : viewing.follow()),
   loop: loopHere,
   exports: () => byId("export-button").click(),
   theme: nextTheme,
@@ -326,8 +196,8 @@ listenToKeys({
 addEventListener("hashchange", () => {
   const { token, session, window } = readAddress();
   if (token) return void enter(token).catch((error) => door(error.message));
-  if (session && session !== state.session) open(session, window);
-  else if (session && window !== null && window !== state.window) byHand(Math.max(0, Math.min(state.windows - 1, window)));
+  if (session && session !== state.session) viewing.open(session, window);
+  else if (session && window !== null && window !== state.window) byHand(window);
 });
 
 // Coming in ----------------------------------------------------------------------------------------------
@@ -353,7 +223,7 @@ async function start() {
   socket.connect();
   if (wanted) {
     state.set({ session: wanted });
-    open(wanted, session ? window : state.windows ? state.window : null);
+    viewing.open(wanted, session ? window : state.windows ? state.window : null);
   }
   listed(await api.sessions());
 }
@@ -361,13 +231,13 @@ async function start() {
 // The script interface: for embedding and for tests.
 window.dvsviz = {
   async open(session) {
-    await open(session);
+    await viewing.open(session);
     if (state.problem) throw new Error(state.problem);
   },
   async seek(window) {
     if (!Number.isInteger(window) || window < 0 || window >= state.windows) throw new RangeError(`window: expected 0 to ${state.windows - 1}, got ${window}`);
     byHand(window);
-    if (state.shown !== window) await arrived();
+    if (state.shown !== window) await viewing.arrived();
   },
   async play() {
     transport.play();
@@ -384,8 +254,8 @@ window.dvsviz = {
 const { token } = readAddress();
 (token ? enter(token) : start()).catch((error) => {
   if (!error.isDoor) {
-    showBanner("The server does not answer. This page comes back by itself when it does.");
-    return void setTimeout(() => location.reload(), 3000);
+    showBanner(UNANSWERED);
+    return void setTimeout(() => location.reload(), RELOAD_MS);
   }
   door(token ? "The token in this address is not the one of the running server." : "The address holds no token, and this browser was not here before.");
 });

@@ -1,7 +1,7 @@
 // The numbers of the shown window: estimate, truth and how far they are apart.
 
 import { byId, make, setText } from "./dom.js";
-import { fixed, megaRate, percent, significant, vector, whole } from "./format.js";
+import { fixed, megaRate, percent, significant, vector } from "./format.js";
 
 const norm = (a, b) => (a && b ? Math.hypot(...a.map((value, i) => value - b[i])) : NaN);
 
@@ -31,23 +31,21 @@ const ROWS = [
   { name: "v", unit: "d/s", title: "Linear velocity in plane distances a second, in the camera frame", of: (v) => vector(v.velocity, 2), apart: (v, t) => fixed(norm(v.velocity, t.velocity), 2) },
 ];
 const FACTS = [
-  ["events", "Events in the window", (v) => whole(v.events)],
   ["window", "Duration of the window", (v) => `${fixed(v.duration_ms, 1)} ms`],
   ["rate", "Event rate", (v) => megaRate(v.event_rate_hz)],
   ["contrast", "Variance of the image of warped events: without motion and at the estimate", (v) => `${significant(v.contrast_before)} → ${significant(v.contrast_after)}`],
-  ["overlap", "Share of the window's edge pixels that the map explains", (v) => percent(v.overlap)],
   ["map score", "Agreement with the map: 1 perfect, 0 chance", (v) => fixed(v.score, 2)],
   ["confidence", "Chance that the pose is within 2 % of the plane distance", (v) => percent(v.confidence)],
   ["condition", "Condition number of the pose's normal matrix: large where the texture hides a direction", (v) => significant(v.condition)],
-  ["pos. error", "Distance from the truth in per cent of the plane distance, after alignment", (v) => (Number.isFinite(v.error_percent) ? `${fixed(v.error_percent, 2)} % d` : "–")],
-  ["rot. error", "Angle to the truth after alignment", (v) => (Number.isFinite(v.error_deg) ? `${fixed(v.error_deg, 2)}°` : "–")],
+  ["position error", "Distance from the truth in per cent of the plane distance, after alignment", (v) => (Number.isFinite(v.error_percent) ? `${fixed(v.error_percent, 2)} % d` : "–"), true],
+  ["rotation error", "Angle to the truth after alignment", (v) => (Number.isFinite(v.error_deg) ? `${fixed(v.error_deg, 2)}°` : "–"), true],
 ];
 
 export class Numbers {
   constructor(state) {
     const head = make("tr", {}, make("th", {}), ...["estimate", "truth"].map((text) => make("th", { colspan: 3, scope: "col" }, text)), make("th", { scope: "col", title: "How far estimate and truth are apart" }, "±"));
     this.rows = ROWS.map((row) => ({ ...row, cells: Array.from({ length: 7 }, () => make("td", {})) }));
-    this.facts = FACTS.map(([name, title, of]) => ({ of, cell: make("dd", {}), name: make("dt", { title }, name) }));
+    this.facts = FACTS.map(([name, title, of, onlyTruth = false]) => ({ of, onlyTruth, cell: make("dd", {}), name: make("dt", { title }, name) }));
     this.weak = make("p", { class: "weak" });
     this.table = make(
       "table",
@@ -72,7 +70,10 @@ export class Numbers {
       const known = truth ? (of(truth) ?? ["–", "–", "–"]) : ["", "", ""];
       [...estimate, ...known, truth ? apart(values, truth) : ""].forEach((text, i) => setText(cells[i], text));
     }
-    for (const { of, cell } of this.facts) setText(cell, of(values));
+    for (const { of, cell, onlyTruth } of this.facts) {
+      cell.parentElement.hidden = onlyTruth && !truth;
+      setText(cell, of(values));
+    }
     const words = Array.isArray(values.weak) ? values.weak.join(", ") : values.weak;
     this.weak.replaceChildren(...(words ? [make("b", {}, "Seen least: "), words] : []), ...(values.note ? [make("span", { class: "dim" }, ` ${values.note}`)] : []));
   }

@@ -83,7 +83,8 @@ export class Sessions {
     if (old?.key === key) return old.row;
     const badge = WORDS[entry.state] ? make("span", { class: `badge ${entry.state}-badge`, title: MEANINGS[entry.state] }, WORDS[entry.state]) : null;
     const losses = entry.losses ? ` · lost ${entry.losses === 1 ? "once" : `${entry.losses}×`}` : "";
-    const tracked = entry.windows ? `${percent(entry.tracked_share)} tracked${losses}` : "no windows yet";
+    const about = entry.width ? `${entry.width}×${entry.height} · ${duration(entry.duration_s)} · ${amount(entry.events)} events` : entry.recording;
+    const tracked = entry.windows ? `${percent(entry.tracked_share)} tracked${losses}` : entry.state === "queued" ? "waits for its turn" : "no windows yet";
     const row = make(
       "li",
       {},
@@ -91,7 +92,7 @@ export class Sessions {
         "a",
         { href: address(entry.name, null), dataset: { name: entry.name }, title: entry.recording },
         make("span", { class: "name" }, make("b", {}, entry.name), badge),
-        make("span", { class: "dim number" }, `${entry.width}×${entry.height} · ${duration(entry.duration_s)} · ${amount(entry.events)} events`),
+        make("span", { class: "dim number" }, about),
         make("span", { class: "dim number" }, tracked),
         sparkline(entry.sparkline ?? [], `States over time: ${tracked}`),
       ),

@@ -3,7 +3,7 @@
 
 import { byId, themeColour } from "./dom.js";
 import { clockTime } from "./format.js";
-import { axisTime, drawCurve, drawLaneLabels, drawStates, niceRange, stateFills, ticks } from "./lanes.js";
+import { FONT, axisTime, drawCurve, drawLaneLabels, drawStates, niceRange, stateFills, ticks } from "./lanes.js";
 
 const LANES = [
   { key: "contrast_gain", label: "contrast gain", unit: "×", digits: 2, ink: "--curve-contrast", floor: null },
@@ -142,7 +142,7 @@ export class Timeline {
     const left = Math.round(font * (narrow ? 12.5 : 15.2));
     const right = width - Math.round(font * 3.6);
     const unit = Math.round(font * 1.25);
-    const overview = { top: height - unit + 4, height: Math.round(unit * 0.5) };
+    const overview = { top: height - unit, height: Math.round(unit * 0.5) };
     const axis = { top: overview.top - unit - 1, height: unit };
     const marks = { top: 2, height: unit - 1 };
     const states = { top: marks.top + marks.height + 1, height: Math.round(font * 1.25) };
@@ -196,7 +196,7 @@ export class Timeline {
     const [ink, dim, grid] = ["--fg", "--dim", "--grid"].map(themeColour);
     const { left, right, font, axis, row, top, states, marks } = layout;
 
-    pen.font = `${font - 1.5}px system-ui, sans-serif`;
+    pen.font = `${font - 1.5}px ${FONT}`;
     pen.textBaseline = "middle";
     const { values, step } = ticks(this.view.start, this.view.end, Math.max(2, (right - left) / 110));
     for (const t of values) {
@@ -304,7 +304,7 @@ export class Timeline {
       pen.fillStyle = dim;
       pen.fillRect(Math.round(this.hover.x), states.top, 1, axis.top - states.top);
       const text = `${clockTime(t[at], 3)} · window ${at}${this.hover.status ? ` · ${this.hover.status}` : ""}`;
-      pen.font = `${font - 1}px system-ui, sans-serif`;
+      pen.font = `${font - 1}px ${FONT}`;
       const wide = pen.measureText(text).width + 14;
       const x = Math.max(left, Math.min(right - wide, this.hover.x - wide / 2));
       pen.fillStyle = themeColour("--raise");
@@ -345,7 +345,7 @@ export class Timeline {
 }
 
 function drawStateLabel(pen, { top, height }, font, ink) {
-  pen.font = `${font}px system-ui, sans-serif`;
+  pen.font = `${font}px ${FONT}`;
   pen.textAlign = "left";
   pen.textBaseline = "middle";
   pen.fillStyle = ink;

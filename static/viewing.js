@@ -1,0 +1,157 @@
+// Viewing a session: opening it, moving the playhead, asking for images, keeping up while it grows.
+
+import * as api from "./api.js";
+import { Columns } from "./columns.js";
+import { showEmpty } from "./door.js";
+import { KINDS } from "./images.js";
+import { STATES } from "./status.js";
+
+const BETWEEN_FETCHES_MS = 200;
+const AGAIN_UNKNOWN = "The server does not know this browser any more.";
+
+export class Viewing {
+  #opening = 0; // counts opened sessions: answers for an older one are dropped
+  #growing = null; // the fetch of new windows that is under way
+  #waiting = []; // promises of the script interface: {request, resolve}
+
+  /**
+   * `parts` are {state, socket, seeker, images, transport, timeline, scene}; `door(why)` asks for the token,
+   * `flash(sentence)` says what went wrong for a moment.
+   */
+  constructor(parts, { door, flash }) {
+    Object.assign(this, parts, { door, flash });
+  }
+
+  /** Opens a session at a window (null: where it is best to begin); resolves when its images are shown. */
+  async open(name, window = null) {
+    const { state, images, timeline } = this;
+    const mine = ++this.#opening;
+    this.transport.pause();
+    this.seeker.reset();
+    images.clear("loading");
+    state.set({ session: name, detail: null, columns: null, windows: 0, window: 0, shown: null, values: null, live: false, following: false, progress: null, loop: null, problem: null });
+    timeline.setLoop(null);
+    timeline.show({ columns: null, detail: null }, true);
+    showEmpty(null);
+    this.socket.send({ type: "open", session: name });
+    try {
+      const detail = await api.session(name);
+      const columns = new Columns(detail.statuses.map((status) => STATES[status]?.badness ?? 0));
+      const answer = await api.columns(name, 0);
+      if (mine !== this.#opening) return;
+      columns.append(answer);
+      const live = detail.state === "live";
+      state.set({ detail, columns, windows: columns.count, live });
+      timeline.show(state, true);
+      this.scene.prepare(detail.viser);
+      images.accept(this.seeker.request + 1);
+      if (live && window === null) state.set({ following: true });
+      if (!columns.count) return this.#nothingYet(live);
+      const first = window ?? (live ? columns.count - 1 : (detail.failures[0]?.worst ?? Math.floor(columns.count / 2)));
+      this.seek(Math.max(0, Math.min(columns.count - 1, first)), true);
+      await this.arrived();
+    } catch (error) {
+      if (mine === this.#opening) this.#refuse(error, name);
+    }
+  }
+
+  #nothingYet(live) {
+    this.images.blank(live ? "waiting for the first window" : "no windows");
+    showEmpty(live ? "Starting" : "No windows", live ? "The first window is on its way." : "This session holds no windows: its run ended before the first one.");
+  }
+
+  #refuse(error, name) {
+    if (error.isDoor) return this.door(AGAIN_UNKNOWN);
+    this.state.set({ problem: error.message });
+    this.images.clear("");
+    if (error.status === 404) showEmpty(`There is no session called “${name}”`, "It may have been renamed or moved. Choose another from the list.");
+    else showEmpty("This session cannot be shown", error.message);
+  }
+
+  /** Moves the playhead and asks for the images; called by playing, following and by hand. */
+  seek(window, force = false) {
+    const { state } = this;
+    if (!state.windows || (window === state.window && !force)) return;
+    state.set({ window });
+    this.ask();
+  }
+
+  /** The playhead is moved by a person: a live session is not followed any longer. */
+  byHand(window) {
+    this.state.set({ following: false });
+    this.seek(Math.max(0, Math.min(this.state.windows - 1, window)));
+    this.transport.restart();
+  }
+
+  /** Asks for the images of the playhead's window. */
+  ask() {
+    const { state, images } = this;
+    if (!state.windows) return;
+    const kinds = images.large ? [images.large] : KINDS.map(({ kind }) => kind);
+    this.seeker.want(state.session, state.window, kinds, { polarity: state.polarity, scale: 1 });
+  }
+
+  /** Images of a window are on the screen. */
+  shown(message) {
+    if (message.session !== this.state.session) return;
+    this.state.set({ shown: message.images.length ? message.window : null, values: message.values });
+    window.dispatchEvent(new CustomEvent("dvsviz-shown", { detail: { window: message.window, at: performance.now() } }));
+    const ready = this.#waiting.filter(({ request }) => request <= message.request);
+    this.#waiting = this.#waiting.filter(({ request }) => request > message.request);
+    for (const { resolve } of ready) resolve();
+  }
+
+  /** Resolves when the newest request, or a later one, is on the screen. */
+  arrived() {
+    return new Promise((resolve) => this.#waiting.push({ request: this.seeker.newest, resolve }));
+  }
+
+  /** Takes the playhead to the end of a live session and keeps it there. */
+  follow() {
+    const { state } = this;
+    if (!state.live) return;
+    this.transport.pause();
+    state.set({ following: true });
+    this.seek(state.windows - 1);
+  }
+
+  /** Takes a `grown` message. */
+  grown(message) {
+    const { state } = this;
+    if (message.session !== state.session) return;
+    if (message.progress) state.set({ progress: message.progress });
+    if (message.windows > state.windows || message.state !== state.detail?.state) this.grow();
+  }
+
+  /** Fetches what a live session has more; one fetch at a time, at most a few a second. */
+  grow() {
+    this.#growing ??= this.#fetchMore().finally(() => {
+      this.#growing = null;
+    });
+  }
+
+  async #fetchMore() {
+    const { state } = this;
+    const mine = this.#opening;
+    const { session, columns } = state;
+    if (!columns) return;
+    try {
+      const detail = await api.session(session);
+      const live = detail.state === "live";
+      // At the end refined poses and errors of all windows are known: everything is read again.
+      const answer = await api.columns(session, live ? columns.count : 0);
+      if (mine !== this.#opening) return;
+      columns.append(answer);
+      const first = !state.windows && columns.count > 0;
+      state.set({ detail, windows: columns.count, live });
+      if (first) showEmpty(null);
+      this.timeline.show(state);
+      if (columns.count && (state.following || first)) this.seek(columns.count - 1, first);
+      if (!live) state.set({ following: false, progress: null });
+    } catch (error) {
+      if (error.isDoor) this.door(AGAIN_UNKNOWN);
+      else this.flash(error.message);
+    }
+    await new Promise((resolve) => setTimeout(resolve, BETWEEN_FETCHES_MS));
+  }
+}
