@@ -77,6 +77,13 @@ def test_blocks_agree_with_the_whole(tmp_path: Path) -> None:
         assert source.index_at(int(at)) == np.searchsorted(events.t_us, at)
 
 
+def test_no_index_where_it_would_be_huge(tmp_path: Path) -> None:
+    path = write(tmp_path / "r.h5", make_events([0, 5_000_000, 7 * 3_600_000_000, 10**15]), 2)
+    with h5py.File(path) as file:
+        assert "ms_to_idx" not in file["events"]
+    assert read_recording(path).events.index_at(6_000_000) == 2
+
+
 def test_everything_beside_the_events(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     Ts = se3.pose(se3.exp_so3(rng.normal(size=(5, 3))), rng.normal(size=(5, 3)))

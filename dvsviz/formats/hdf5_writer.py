@@ -27,8 +27,9 @@ VERSION = 1
 # gzip 2.9 B at 5: reading does 12 million events/s with either.
 _CHUNK = 1 << 16
 _COMPRESSION: dict[str, Any] = {"compression": "lzf", "shuffle": True}
-# A millisecond index longer than a day would outweigh its use; readers do not need it.
-_MAX_INDEX_MS = 86_400_000
+# Recordings longer than six hours get no millisecond index: readers do not need it, and one wrong time years ahead
+# must not fill the disk.
+_MAX_INDEX_MS = 21_600_000
 _INDEX_BLOCK = 1 << 18
 _COLUMNS = (("t", np.int64), ("x", np.uint16), ("y", np.uint16), ("p", np.uint8))
 
@@ -58,9 +59,9 @@ class RecordingWriter:
             group = self._file.create_group("camera")
             group.attrs.update(fx=camera.fx, fy=camera.fy, cx=camera.cx, cy=camera.cy)
             group.attrs["distortion"] = np.array(camera.distortion, np.float64)
-        events = self._file.create_group("events")
-        self._columns = {name: _growing(events, name, kind) for name, kind in _COLUMNS}
-        self._index = _growing(events, "ms_to_idx", np.int64)
+        self._events = self._file.create_group("events")
+        self._columns = {name: _growing(self._events, name, kind) for name, kind in _COLUMNS}
+        self._index = _growing(self._events, "ms_to_idx", np.int64)
         self._count, self._first_us, self._last_us, self._next_ms = 0, 0, 0, 0
         self._frame_t: list[int] = []
         self._frames: h5py.Dataset | None = None
@@ -89,7 +90,11 @@ class RecordingWriter:
 
     def _append_index(self, t_us: NDArray[np.int64]) -> None:
         """Write the index of every millisecond that these events reach, in blocks (a gap may be hours long)."""
-        end_ms = min((self._last_us - self._first_us) // 1000 + 1, _MAX_INDEX_MS)
+        end_ms = (self._last_us - self._first_us) // 1000 + 1
+        if end_ms > _MAX_INDEX_MS:
+            if "ms_to_idx" in self._events:
+                del self._events["ms_to_idx"]
+            return
         while self._next_ms < end_ms:
             stop = min(end_ms, self._next_ms + _INDEX_BLOCK)
             marks = self._first_us + 1000 * np.arange(self._next_ms, stop, dtype=np.int64)

@@ -1,0 +1,172 @@
+"""Opening of any recording: the format is recognised by content, foreign ones are converted once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import NoReturn
+
+import h5py
+
+from dvsviz.errors import FormatError
+from dvsviz.events.recording import Recording
+from dvsviz.formats.arrays import convert_npy, convert_npz
+from dvsviz.formats.cache import cached
+from dvsviz.formats.calibration import read_calibration
+from dvsviz.formats.container import Folder, Zip
+from dvsviz.formats.hdf5 import GUESS_WARNING, read_recording
+from dvsviz.formats.options import OpenOptions
+from dvsviz.formats.sink import RecordingSink
+from dvsviz.formats.uzh import FORMAT_NAME as UZH_NAME
+from dvsviz.formats.uzh import convert_uzh
+
+_HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
+_ZIP_MAGICS = (b"PK\x03\x04", b"PK\x05\x06")
+_NPY_MAGIC = b"\x93NUMPY"
+_UZH_FILES = ("events.txt", "groundtruth.txt", "calib.txt", "images.txt", "imu.txt")
+
+
+def open_recording(
+    path: Path,
+    *,
+    size: tuple[int, int] | None = None,
+    calibration: Path | None = None,
+    repair: bool = False,
+    topic: str | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Recording:
+    """Return the recording in a file, folder or archive of any known format.
+
+    A format other than our own is converted once; the copy is kept in the cache folder (`formats.cache`).
+
+    Args:
+        path: the recording.
+        size: sensor (width, height), px, where the recording does not say it or says it wrong.
+        calibration: a calibration file that replaces what is recorded.
+        repair: drop and count events, poses and frames that are wrong instead of refusing the file.
+        topic: which event topic of a bag is read.
+        progress: called with the share done, 0 to 1, while a file is converted.
+
+    Raises:
+        FormatError: no such file, no known format, or a recording that cannot be read as it is; it names the
+            file, the place and what to do.
+    """
+    path = Path(path)
+    if size is not None and not all(1 <= side <= 65_535 for side in size):
+        raise FormatError(f"a sensor of {size[0]}x{size[1]}", place="--size", hint="expected 1 to 65535 pixels")
+    options = OpenOptions(size=size, repair=repair, topic=topic, progress=progress)
+    found = None if calibration is None else read_calibration(calibration)
+    if found is not None and found.size is not None and size is None:
+        options = replace(options, size=found.size)
+    try:
+        exists = path.exists()
+    except OSError:
+        exists = False
+    if not exists:
+        raise FormatError("no such file or folder", path=path, hint="check the path")
+    try:
+        recording = _open_folder(path, options) if path.is_dir() else _open_file(path, options)
+    except PermissionError as error:
+        raise FormatError("cannot be read", path=path, hint="check its permissions") from error
+    if found is None:
+        return recording
+    camera = found.camera(recording.camera.width, recording.camera.height)
+    guess = GUESS_WARNING.split(":")[0]
+    warnings = tuple(warning for warning in recording.warnings if not warning.startswith(guess))
+    return replace(recording, camera=camera, warnings=warnings)
+
+
+def _open_folder(path: Path, options: OpenOptions) -> Recording:
+    folder = Folder(path)
+    if folder.has("events.txt"):
+        files = [path / name for name in _UZH_FILES]
+        return _converted(path, files, options, UZH_NAME, lambda sink: convert_uzh(folder, sink))
+    if folder.has("events.npz"):
+        files = [path / "events.npz", path / "calib.txt"]
+        return _converted(path, files, options, "npz", lambda sink: _npz(path / "events.npz", sink, folder))
+    inside = [child for child in path.iterdir() if child.is_dir() and Folder(child).has("events.txt")]
+    if len(inside) == 1:
+        return _open_folder(inside[0], options)
+    hint = "expected events.txt (Event Camera Dataset) or events.npz inside"
+    raise FormatError("no recording in this folder", path=path, hint=hint)
+
+
+def _open_file(path: Path, options: OpenOptions) -> Recording:
+    with path.open("rb") as file:
+        head = file.read(4096)
+    if not head:
+        raise FormatError("the file is empty", path=path, hint="record or copy it again")
+    if head.startswith(_HDF5_MAGIC):
+        return _open_hdf5(path, options)
+    if head.startswith(_ZIP_MAGICS):
+        return _open_zip(path, options)
+    if head.startswith(_NPY_MAGIC):
+        return _converted(path, [path], options, "npy", lambda sink: convert_npy(path, sink))
+    if _is_text_events(head):
+        # The file alone: what lies beside it in its folder belongs to it.
+        folder = Folder(path.parent)
+        files = [path, *(path.parent / name for name in _UZH_FILES[1:])]
+        return _converted(
+            path, files, options, UZH_NAME, lambda sink: convert_uzh(folder, sink, events_name=path.name)
+        )
+    _refuse_unknown(path)
+
+
+def _is_text_events(head: bytes) -> bool:
+    """Tell whether the first line that is no comment starts with a number, as a line of events does."""
+    if b"\x00" in head:
+        return False
+    for line in head.removeprefix(b"\xef\xbb\xbf").splitlines():
+        words = line.replace(b",", b" ").split()
+        if words and not words[0].startswith(b"#"):
+            return 2 <= len(words) <= 5 and words[0][:1] in b"+-.0123456789"
+    return False
+
+
+def _open_hdf5(path: Path, options: OpenOptions) -> Recording:
+    try:
+        with h5py.File(path, "r") as file:
+            own = "format" in file.attrs or "events" not in file
+    except OSError as error:
+        raise FormatError("a damaged HDF5 file", path=path, hint="copy it again") from error
+    if own:
+        return read_recording(path)
+    _refuse_unknown(path)
+
+
+def _open_zip(path: Path, options: OpenOptions) -> Recording:
+    archive = Zip(path)
+    try:
+        if archive.has("events.txt"):
+            return _converted(path, [path], options, f"{UZH_NAME} (zip)", lambda sink: convert_uzh(archive, sink))
+        if path.name == "events.npz" and (path.parent / "calib.txt").is_file():
+            files, folder = [path, path.parent / "calib.txt"], Folder(path.parent)
+            return _converted(path, files, options, "npz", lambda sink: convert_npz(archive, sink, beside=folder))
+        if any(name.endswith(".npy") for name in archive.names):
+            return _converted(path, [path], options, "npz", lambda sink: convert_npz(archive, sink))
+    finally:
+        archive.close()
+    raise FormatError("no events.txt in this archive", path=path, hint="expected the Event Camera Dataset's layout")
+
+
+def _npz(path: Path, sink: RecordingSink, folder: Folder) -> None:
+    archive = Zip(path)
+    try:
+        convert_npz(archive, sink, beside=folder)
+    finally:
+        archive.close()
+
+
+def _converted(
+    path: Path, files: list[Path], options: OpenOptions, name: str, read: Callable[[RecordingSink], None]
+) -> Recording:
+    def convert(target: Path) -> None:
+        with RecordingSink(target, path, name, options) as sink:
+            read(sink)
+
+    return cached(path, files, options, convert, kind=name)
+
+
+def _refuse_unknown(path: Path) -> NoReturn:
+    raise FormatError("no recording of a known format", path=path, hint="docs/formats.md lists the formats")
