@@ -7,10 +7,26 @@ from numpy.typing import ArrayLike, NDArray
 
 from dvsviz.contrast import kernels
 from dvsviz.contrast.warp import Warp, window_warp
+from dvsviz.events.windows import EventWindow
 from dvsviz.geometry.camera import Camera
 from dvsviz.geometry.plane import Plane
 
 _ONE = np.ones(1, dtype=np.float32)
+
+
+def sample_window(window: EventWindow, most: int, seed: int) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    """Return at most `most` events of a window, in time order: bearings (N, 2) and seconds since its start (N,).
+
+    The choice depends on the seed and the window's number alone, so that it can be made again.
+    """
+    t_s = window.t_s
+    if len(window) <= most:
+        return window.bearings, t_s
+    rng = np.random.default_rng((seed, window.index))
+    # One event of each of `most` equal runs: in order without a sort, and spread over the whole window.
+    edges = np.linspace(0, len(window), most + 1)
+    pick = (edges[:-1] + rng.random(most) * np.diff(edges)).astype(np.int64)
+    return window.bearings[pick], t_s[pick]
 
 
 def warp_points(bearings: NDArray[np.float32], t_s: NDArray[np.float64], warp: Warp) -> NDArray[np.float32]:

@@ -98,4 +98,4 @@ def objective(name: ObjectiveName, blur_px: float = 0.0) -> Objective:
 
 def _blur(image: Image, sigma_px: float) -> Image:
     # A zero border makes the blur its own transpose, which the adjoint needs.
-    return cv2.GaussianBlur(image, (0, 0), sigma_px, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma_px, borderType=cv2.BORDER_CONSTANT), dtype=np.float32)

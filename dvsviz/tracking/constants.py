@@ -46,11 +46,71 @@ MAP_MARGIN_PX: Final = 128
 MAP_MAX_CELLS: Final = 16_000_000
 
 # --- status -------------------------------------------------------------------------------------------------
-SCORE_WEAK: Final = 0.25
-SCORE_LOST: Final = 0.12
-# Windows in a row below SCORE_LOST after which the tracker says that it is lost.
+# Bad windows in a row after which the tracker says that it is lost.
 LOST_WINDOWS: Final = 2
 # Overlap below which a keyframe is tried (section 2.2.3).
 OVERLAP_KEYFRAME: Final = 0.8
 # Share of the pixel scale at which a map value counts as an edge when overlap is measured.
 OVERLAP_EDGE: Final = 0.3
+
+# --- refinement ---------------------------------------------------------------------------------------------
+REFINE_ROUNDS: Final = 7
+# Gate on an event's distance to its edge, map px, first and last round.
+REFINE_GATE_START_PX: Final = 5.0
+REFINE_GATE_END_PX: Final = 2.0
+# Gate when the result is judged on held-out events, map px.
+REFINE_JUDGE_GATE_PX: Final = 3.0
+REFINE_RIDGE_BLUR_PX: Final = 1.2
+# Height of the blurred edge image (0 to 1) that a ridge pixel must reach.
+REFINE_RIDGE_LEVEL: Final = 0.15
+REFINE_LANDMARKS: Final = 3_000
+# Events of a view that a landmark needs, and the number beyond which more add no weight (they are correlated).
+REFINE_MIN_EVENTS: Final = 2
+REFINE_MAX_EVENTS: Final = 8
+# Damping of every parameter, in observations of one px.
+REFINE_DAMPING: Final = 1e-3
+# Keyframe counts at which all keyframes are refined together: each about 1.5 times the last.
+REFINE_AT: Final = (5, 8, 12, 18, 27, 40, 60, 90)
+# Most keyframes in one refinement: evenly thinned beyond.
+REFINE_MAX_VIEWS: Final = 90
+
+# --- keyframes ----------------------------------------------------------------------------------------------
+# Image displacement since the nearest keyframe, as a share of the image's width, that makes a new one.
+KEYFRAME_DISPLACEMENT: Final = 0.12
+# Seconds after which the next well-tracked window becomes a keyframe in any case.
+KEYFRAME_SECONDS: Final = 0.5
+# Events of a window that are kept for the map and for refinement.
+TRACE_EVENTS: Final = 3_000
+
+# --- relocalization -----------------------------------------------------------------------------------------
+RELOCALIZE_REDUCTION: Final = 4
+RELOCALIZE_TURNS: Final = 24
+RELOCALIZE_CANDIDATES: Final = 8
+RELOCALIZE_ITERATIONS: Final = (8, 6, 6)
+RELOCALIZE_MIN_EVENTS: Final = 300
+RELOCALIZE_KEYFRAMES: Final = 40
+# Score a pose needs to be believed, relative to the median score while tracking well, and lead over the runner-up.
+RELOCALIZE_SCORE: Final = 0.75
+RELOCALIZE_LEAD: Final = 0.05
+# Keyframes, from the last one back, that a new view is compared with.
+KEYFRAME_COMPARE: Final = 40
+# Keyframes after which the map's texture is published anew between refinements.
+REVISION_KEYFRAMES: Final = 4
+
+# --- motion and judgement -----------------------------------------------------------------------------------
+# Share of a measured change of velocity that is believed.
+VELOCITY_GAIN: Final = 0.6
+# Events used for a motion by contrast alone, and for a window's images.
+CONTRAST_EVENTS: Final = 8_000
+MEASURE_EVENTS: Final = 8_000
+# Score by the running score of good windows: below, a window is weak or bad.
+WEAK_RATIO: Final = 0.7
+LOST_RATIO: Final = 0.45
+# Share of events inside the map below which a window is bad.
+LOST_INSIDE: Final = 0.4
+# Condition of the pose's information above which a direction counts as not seen.
+WEAK_CONDITION: Final = 3e4
+# Share by which the running score follows each good window.
+SCORE_GAIN: Final = 0.05
+# Edge pixels in view below which there is too little texture.
+TEXTURE_EDGE_PIXELS: Final = 150

@@ -29,13 +29,17 @@ class PlanarMap:
         origin: (u, v) (2,) of cell (0, 0)'s centre, in units.
         votes: events that fell on each cell (rows, columns).
         exposure: image displacement, px, that has swept each block of cells (rows / b, columns / b).
+        freeze_px: a block swept by more is no longer written.
     """
 
-    def __init__(self, plane: Plane, px_per_unit: float, origin: Array, shape: tuple[int, int]) -> None:
+    def __init__(
+        self, plane: Plane, px_per_unit: float, origin: Array, shape: tuple[int, int], *, freeze_px: float
+    ) -> None:
         b = c.EXPOSURE_CELL_PX
         rows, cols = (-(-n // b) * b for n in shape)
         self.plane = plane
         self.px_per_unit = px_per_unit
+        self.freeze_px = freeze_px
         self.origin = np.asarray(origin, dtype=np.float64)
         self.votes: Image = np.zeros((rows, cols), dtype=np.float32)
         self.exposure: Image = np.zeros((rows // b, cols // b), dtype=np.float32)
@@ -77,7 +81,16 @@ class PlanarMap:
             self._dirty = (r0 + top, c0 + left, r1 + top, c1 + left)
         return True
 
-    def add(self, points: NDArray[np.float32], start: Array, end: Array, sensor: tuple[int, int], K: Array) -> None:
+    def add(
+        self,
+        points: NDArray[np.float32],
+        start: Array,
+        end: Array,
+        sensor: tuple[int, int],
+        K: Array,
+        *,
+        weight: float = 1.0,
+    ) -> None:
         """Add a window's events.
 
         Args:
@@ -86,11 +99,9 @@ class PlanarMap:
             end: the same at its end.
             sensor: (height, width) of the camera, for the footprint.
             K: the camera's calibration (3, 3).
+            weight: events that each point stands for.
         """
-        inside = points[np.isfinite(points[:, 0])]
-        if len(inside) == 0:
-            return
-        frozen_vote(points, self.votes, self.exposure, c.EXPOSURE_CELL_PX, c.FREEZE_DISPLACEMENT_PX)
+        frozen_vote(points, self.votes, self.exposure, c.EXPOSURE_CELL_PX, self.freeze_px, weight)
         box = add_exposure(
             self.exposure,
             np.linalg.inv(start),
@@ -99,6 +110,7 @@ class PlanarMap:
             sensor[0],
             sensor[1],
             c.EXPOSURE_CELL_PX,
+            self.freeze_px,
         )
         r0, c0, r1, c1 = (int(v) * c.EXPOSURE_CELL_PX for v in box)
         if r1 > r0:
@@ -165,7 +177,7 @@ class PlanarMap:
 
 
 @numba.njit(cache=True, nogil=True)
-def frozen_vote(points, votes, exposure, block, limit):
+def frozen_vote(points, votes, exposure, block, limit, weight):
     """Vote points (N, 2) bilinearly into `votes` where the block was swept by less than `limit` px."""
     rows, cols = votes.shape
     for i in range(points.shape[0]):
@@ -176,14 +188,14 @@ def frozen_vote(points, votes, exposure, block, limit):
         if exposure[r // block, q // block] > limit:
             continue
         fx, fy = x - q, y - r
-        votes[r, q] += (1 - fx) * (1 - fy)
-        votes[r, q + 1] += fx * (1 - fy)
-        votes[r + 1, q] += (1 - fx) * fy
-        votes[r + 1, q + 1] += fx * fy
+        votes[r, q] += weight * (1 - fx) * (1 - fy)
+        votes[r, q + 1] += weight * fx * (1 - fy)
+        votes[r + 1, q] += weight * (1 - fx) * fy
+        votes[r + 1, q + 1] += weight * fx * fy
 
 
 @numba.njit(cache=True, nogil=True)
-def add_exposure(exposure, to_start, to_end, K, height, width, block):
+def add_exposure(exposure, to_start, to_end, K, height, width, block, limit):
     """Add to each block the image displacement (px) between two views, where the block is in view.
 
     Args:
@@ -194,6 +206,7 @@ def add_exposure(exposure, to_start, to_end, K, height, width, block):
         height: sensor rows.
         width: sensor columns.
         block: cells a block.
+        limit: a block swept by more, px, is frozen: neither votes nor exposure are added.
 
     Returns:
         The box of blocks in view: first row, first column, end row, end column; empty where there is none.
@@ -216,6 +229,8 @@ def add_exposure(exposure, to_start, to_end, K, height, width, block):
             lo_x, hi_x, lo_y, hi_y = min(lo_x, px), max(hi_x, px), min(lo_y, py), max(hi_y, py)
     for r in range(max(0, int(lo_y / block)), min(rows, int(hi_y / block) + 2)):
         for q in range(max(0, int(lo_x / block)), min(cols, int(hi_x / block) + 2)):
+            if exposure[r, q] > limit:
+                continue
             x, y = (q + 0.5) * block, (r + 0.5) * block
             z = to_start[2, 0] * x + to_start[2, 1] * y + to_start[2, 2]
             ax = (to_start[0, 0] * x + to_start[0, 1] * y + to_start[0, 2]) / z * K[0, 0] + K[0, 2]

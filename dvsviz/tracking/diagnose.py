@@ -1,0 +1,151 @@
+"""What a window's numbers say: agreement with the map beyond chance, overlap, weak directions in words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvsviz.contrast.kernels import sample
+from dvsviz.geometry.camera import Camera
+from dvsviz.geometry.plane import homography_map_camera
+from dvsviz.tracking import constants as c
+from dvsviz.tracking.planar_map import PlanarMap
+
+Array = NDArray[np.float64]
+
+_AXES = (
+    "rotation about x (pitch)",
+    "rotation about y (yaw)",
+    "rotation about z (roll)",
+    "motion along x",
+    "motion along y",
+    "motion along z",
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Agreement:
+    """How well a window's events lie on the map.
+
+    Attributes:
+        score: (value at the events - value by chance) / (1 - value by chance): 0 is chance, 1 perfect.
+        chance: mean of the edge image over the window's footprint.
+        inside: share of the footprint that the map has seen.
+    """
+
+    score: float
+    chance: float
+    inside: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Judgement:
+    """What the tracker thinks of a window.
+
+    Attributes:
+        score: chance-normalised agreement with the map.
+        confidence: 0 to 1.
+        condition: condition number of the pose.
+        weak_direction: (6,).
+        note: a sentence, or "".
+    """
+
+    score: float
+    confidence: float
+    condition: float
+    weak_direction: Array
+    note: str
+
+    @classmethod
+    def unknown(cls) -> Judgement:
+        """Return the judgement of a window that was not aligned with a map."""
+        nan = float("nan")
+        return cls(score=nan, confidence=0.0, condition=nan, weak_direction=np.zeros(6), note="")
+
+
+def confidence(ratio: float, condition: float, inside: float) -> float:
+    """Return a confidence (0 to 1) from the score's ratio to good scores, the condition and the share inside."""
+    by_score = 1.0 / (1.0 + np.exp(-12.0 * (ratio - c.WEAK_RATIO)))
+    by_condition = 1.0 / (1.0 + condition / c.WEAK_CONDITION)
+    return float(np.clip(by_score * by_condition * min(1.0, inside / 0.8), 0.0, 1.0))
+
+
+def agreement(planar_map: PlanarMap, value: float, T_world_camera: Array, camera: Camera) -> Agreement:
+    """Return the chance-normalised agreement of a window aligned at a pose.
+
+    Args:
+        planar_map: the map.
+        value: mean of the finest edge image at the window's events.
+        T_world_camera: pose (4, 4).
+        camera: gives the footprint.
+    """
+    points = footprint(planar_map, T_world_camera, camera)
+    values = sample(points, planar_map.pyramid()[-1], -1.0)
+    cells = np.full(len(points), -1.0, dtype=np.float32)
+    ok = values >= 0
+    if ok.any():
+        block = points[ok].astype(np.int64) // c.EXPOSURE_CELL_PX
+        cells[ok] = planar_map.exposure[block[:, 1], block[:, 0]]
+    seen = cells > 0
+    chance = float(values[seen].mean()) if seen.any() else 0.0
+    return Agreement(score=(value - chance) / max(1e-3, 1.0 - chance), chance=chance, inside=float(seen.mean()))
+
+
+def footprint(
+    planar_map: PlanarMap, T_world_camera: Array, camera: Camera, columns: int = 48
+) -> NDArray[np.float32]:
+    """Return the cells (M, 2) float32 of a grid of sensor pixels; NaN behind the plane."""
+    rows = max(2, round(columns * camera.height / camera.width))
+    x, y = np.meshgrid(np.linspace(0, camera.width - 1, columns), np.linspace(0, camera.height - 1, rows))
+    q = np.column_stack([(x.ravel() - camera.cx) / camera.fx, (y.ravel() - camera.cy) / camera.fy, np.ones(x.size)])
+    p = q @ (planar_map.projection @ homography_map_camera(T_world_camera, planar_map.plane)).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        cells = p[:, :2] / p[:, 2:]
+    cells[p[:, 2] <= 1e-9] = np.nan
+    return cells.astype(np.float32)
+
+
+def overlap(planar_map: PlanarMap, image: NDArray[np.float32], T_world_camera: Array, camera: Camera) -> float:
+    """Return the share of a window's edge pixels that the map explains (section 2.2.3).
+
+    Args:
+        planar_map: the map.
+        image: IWE (height, width) of the window at its motion, all weights 1, referred to the pose's time.
+        T_world_camera: pose (4, 4) of the image.
+        camera: of the image.
+    """
+    occupied = image[image > 0]
+    if len(occupied) == 0:
+        return float("nan")
+    # An edge pixel holds clearly more than a scattered event.
+    rows, cols = np.nonzero(image > max(1.5, 0.5 * float(np.percentile(occupied, 90))))
+    if len(rows) < 20:
+        return float("nan")
+    q = np.column_stack([(cols - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, np.ones(len(rows))])
+    p = q @ (planar_map.projection @ homography_map_camera(T_world_camera, planar_map.plane)).T
+    values = sample((p[:, :2] / p[:, 2:]).astype(np.float32), planar_map.pyramid()[-1], 0.0)
+    return float((values > c.OVERLAP_EDGE).mean())
+
+
+def weakest(information: Array, free: NDArray[np.bool_]) -> tuple[float, Array]:
+    """Return the condition number and the weakest unit direction (6,) of a pose's information (6, 6).
+
+    Rotation in rad and position in plane distances move the image alike, so that the two compare.
+    """
+    index = np.flatnonzero(free)
+    values, vectors = np.linalg.eigh(information[np.ix_(index, index)])
+    direction = np.zeros(6)
+    direction[index] = vectors[:, 0]
+    condition = float(values[-1] / max(values[0], 1e-9 * max(values[-1], 1e-9)))
+    return condition, direction
+
+
+def in_words(direction: Array) -> str:
+    """Return a weak direction (6,) as words: "motion along x and rotation about y (yaw)"."""
+    size = np.abs(direction)
+    if not np.isfinite(size).all() or size.max() == 0:
+        return ""
+    strong = [i for i in np.argsort(-size) if size[i] > 0.35][:2]
+    return " and ".join(_AXES[i] for i in strong)

@@ -1,0 +1,232 @@
+"""The mapper: what the tracker has seen, kept so that it can be corrected.
+
+It holds the traces of past windows, the map built of them, the keyframes among them, and the refinements that move
+all three together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvsviz.geometry import se3
+from dvsviz.geometry.camera import Camera
+from dvsviz.geometry.plane import Plane
+from dvsviz.session.records import Keyframe, LogEntry, MapRevision, RefinedPoses, TrackerUpdates
+from dvsviz.tracking import constants as c
+from dvsviz.tracking.align import align
+from dvsviz.tracking.planar_map import PlanarMap
+from dvsviz.tracking.refine import Refinement, View, refine
+from dvsviz.tracking.traces import Trace, add_to_map, correct, with_poses
+
+Array = NDArray[np.float64]
+
+
+class Mapper:
+    """Map, traces and keyframes of one tracker.
+
+    Args:
+        camera: of the windows.
+        free: mask (6,) of rotation and position.
+        solve_normal: refine the plane's normal too.
+    """
+
+    def __init__(self, camera: Camera, free: NDArray[np.bool_], *, solve_normal: bool) -> None:
+        self.camera = camera
+        self.free = free
+        self.solve_normal = solve_normal
+        self.plane = Plane(normal=np.array([0.0, 0.0, -1.0]))
+        self.map: PlanarMap | None = None
+        self.traces: list[Trace] = []
+        self.keyframes: list[Keyframe] = []
+        self.refinements = 0
+        self.revision = -1
+        self.tried_at = 0
+        self._focal_px = 0.5 * (camera.fx + camera.fy)
+        self._sensor = (camera.height, camera.width)
+        self._new_keyframes: list[Keyframe] = []
+        self._new_revisions: list[MapRevision] = []
+        self._new_refined: list[RefinedPoses] = []
+        self._new_log: list[LogEntry] = []
+        self.revision_at_keyframes = 0
+
+    @property
+    def live_map(self) -> PlanarMap:
+        """The map; there is one after `begin`."""
+        if self.map is None:
+            raise ValueError("map: expected one after the first window")
+        return self.map
+
+    def begin(self, plane: Plane) -> None:
+        """Start an empty map on a plane."""
+        self.plane = plane
+        self.map = self._empty(freeze_px=float("inf"))
+
+    def _empty(self, *, freeze_px: float) -> PlanarMap:
+        size = np.array([self.camera.width, self.camera.height])
+        return PlanarMap(
+            self.plane,
+            self._focal_px / self.plane.distance,
+            -0.5 * size * self.plane.distance / self._focal_px,
+            self._sensor,
+            freeze_px=freeze_px,
+        )
+
+    # --- growing -------------------------------------------------------------------------------------------
+
+    def remember(self, trace: Trace) -> None:
+        """Keep a window that must not write the map."""
+        self.traces.append(trace)
+
+    def add(self, trace: Trace, image: NDArray[np.float32], overlap: float) -> int:
+        """Write a window to the map; return its keyframe number, or -1."""
+        add_to_map(self.live_map, trace, self._sensor, self.camera.matrix)
+        number = -1
+        if self._is_keyframe(trace, overlap):
+            number = len(self.keyframes)
+            trace = replace(trace, keyframe=number)
+            top = float(np.percentile(image[image > 0], 98)) if (image > 0).any() else 1.0
+            keyframe = Keyframe(
+                keyframe=number,
+                window=trace.window,
+                t_us=trace.start_us,
+                T_world_camera=trace.T_world_start,
+                image=(np.clip(image / max(top, 1e-6), 0, 1) * 255).astype(np.uint8),
+            )
+            self.keyframes.append(keyframe)
+            self._new_keyframes.append(keyframe)
+        self.traces.append(trace)
+        if self.revision < 0 or len(self.keyframes) >= self.revision_at_keyframes + c.REVISION_KEYFRAMES:
+            self._publish(trace.window)
+        return number
+
+    def _is_keyframe(self, trace: Trace, overlap: float) -> bool:
+        anchors = [t for t in self.traces if t.keyframe >= 0]
+        if not anchors:
+            return True
+        since_s = (trace.mid_us - anchors[-1].mid_us) * 1e-6
+        if since_s >= c.KEYFRAME_SECONDS:
+            return True
+        limit = c.KEYFRAME_DISPLACEMENT * self.camera.width
+        moved = min(self._view_change_px(trace, a) for a in anchors[-c.KEYFRAME_COMPARE :])
+        return moved > limit or (overlap < c.OVERLAP_KEYFRAME and moved > 0.3 * limit)
+
+    def _view_change_px(self, a: Trace, b: Trace) -> float:
+        """Return about how far (px) the image moved between two views."""
+        delta = se3.inverse(a.T_world_camera) @ b.T_world_camera
+        turn = float(se3.rotation_angle(delta[:3, :3]))
+        return self._focal_px * (turn + float(np.linalg.norm(delta[:3, 3])) / self.plane.distance)
+
+    def keyframe_poses(self, most: int) -> list[Array]:
+        """Return at most `most` keyframe poses (4, 4), evenly spread."""
+        poses = [t.T_world_camera for t in self.traces if t.keyframe >= 0]
+        return poses[:: max(1, -(-len(poses) // most))]
+
+    def _publish(self, window: int) -> None:
+        self.revision += 1
+        self.revision_at_keyframes = len(self.keyframes)
+        self._new_revisions.append(self.live_map.revision(self.revision, window))
+
+    # --- refining ------------------------------------------------------------------------------------------
+
+    def due(self) -> bool:
+        """Return whether enough keyframes were added for the next refinement."""
+        count = len(self.keyframes)
+        return any(self.tried_at < at <= count for at in c.REFINE_AT)
+
+    def refine(self, trace: Trace) -> Trace:
+        """Refine all keyframes and return the given trace re-expressed."""
+        self._refine(final=False)
+        for kept in reversed(self.traces):
+            if kept.window == trace.window:
+                return kept
+        return trace
+
+    def finish(self) -> None:
+        """Refine once more with everything that was seen, and publish the last map."""
+        if self.map is None or not self.traces:
+            return
+        if len(self.keyframes) >= 3:
+            self._refine(final=True)
+        self._publish(self.traces[-1].window)
+
+    def _refine(self, *, final: bool) -> None:
+        self.tried_at = len(self.keyframes)
+        anchors = [t for t in self.traces if t.keyframe >= 0]
+        if len(anchors) > c.REFINE_MAX_VIEWS:
+            pick = np.unique(np.linspace(0, len(anchors) - 1, c.REFINE_MAX_VIEWS).round().astype(int))
+            anchors = [anchors[i] for i in pick]
+        views = [View(bearings=t.deskewed(self.plane), T_world_camera=t.T_world_camera) for t in anchors]
+        result = refine(views, self.plane, self._focal_px, free=self.free, solve_normal=self.solve_normal)
+        window = self.traces[-1].window
+        text = (
+            f"refinement of {len(views)} keyframes: disagreement {result.before_px:.3f} to {result.after_px:.3f} px, "
+            f"{'accepted' if result.accepted else 'refused'}"
+        )
+        self.log(window, "info", text)
+        if not result.accepted and self.refinements > 0:
+            return
+        if result.accepted:
+            self._apply(anchors, result)
+        self.refinements += 1
+        self._rebuild(realign=True)
+        if final:
+            self._rebuild(realign=True)
+        self._new_refined.append(
+            RefinedPoses(
+                windows=np.array([t.window for t in self.traces], dtype=np.int64),
+                Ts_world_camera=np.stack([t.T_world_start for t in self.traces]),
+            )
+        )
+        if not final:
+            self._publish(window)
+
+    def _apply(self, anchors: list[Trace], result: Refinement) -> None:
+        moved = {t.keyframe: T for t, T in zip(anchors, result.Ts_world_camera, strict=True)}
+        self.traces = correct(self.traces, moved)
+        self.plane = result.plane
+
+    def _rebuild(self, *, realign: bool) -> None:
+        """Make the map anew of all traces, then (once) put every window back on it."""
+        rebuilt = self._empty(freeze_px=float("inf"))
+        for trace in self.traces:
+            add_to_map(rebuilt, trace, self._sensor, self.camera.matrix)
+        rebuilt.freeze_px = c.FREEZE_DISPLACEMENT_PX
+        self.map = rebuilt
+        if not realign:
+            return
+        poses = []
+        for trace in self.traces:
+            step = max(1, len(trace.bearings) // c.ALIGN_EVENTS)
+            found = align(
+                rebuilt,
+                trace.bearings[::step],
+                trace.t_s[::step] - trace.mid_s,
+                trace.T_world_camera,
+                trace.omega,
+                trace.velocity,
+                focal_px=self._focal_px,
+                free=self.free,
+                first_level=1,
+            )
+            poses.append(found.T_world_camera)
+        self.traces = with_poses(self.traces, poses)
+
+    # --- telling -------------------------------------------------------------------------------------------
+
+    def log(self, window: int, level: str, text: str) -> None:
+        """Add a line to the log of events."""
+        self._new_log.append(LogEntry(window=window, level=level, text=text))
+
+    def take_updates(self) -> TrackerUpdates:
+        """Return and forget what is new."""
+        updates = TrackerUpdates(
+            keyframes=tuple(self._new_keyframes),
+            map_revisions=tuple(self._new_revisions),
+            refined=tuple(self._new_refined),
+            log=tuple(self._new_log),
+        )
+        self._new_keyframes, self._new_revisions, self._new_refined, self._new_log = [], [], [], []
+        return updates

@@ -1,0 +1,196 @@
+"""The tracker's state as named arrays: checkpoints.
+
+Sampled events are not stored: they are drawn again from the recording, window by window, by the same seeded choice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvsviz.contrast.iwe import sample_window
+from dvsviz.events.recording import EventSource
+from dvsviz.events.windows import make_window
+from dvsviz.geometry.camera import Camera
+from dvsviz.geometry.plane import Plane
+from dvsviz.session.records import STATUSES, Keyframe, Status
+from dvsviz.tracking import constants as c
+from dvsviz.tracking.mapping import Mapper
+from dvsviz.tracking.planar_map import PlanarMap
+from dvsviz.tracking.traces import Trace
+
+Array = NDArray[np.float64]
+_VERSION = 1
+
+
+@dataclass(slots=True, kw_only=True, eq=False)
+class Motion:
+    """What changes with every window: the tracker's own few numbers.
+
+    Attributes:
+        T_world_camera: last pose (4, 4), at `t_us`.
+        t_us: its time.
+        omega: angular velocity (3,) there, camera frame.
+        velocity: linear velocity (3,) there, camera frame.
+        status: what is known of it.
+        bad_windows: bad windows in a row.
+        good_score: running score of good windows.
+        size: events wanted for the next window.
+    """
+
+    T_world_camera: Array
+    t_us: int
+    omega: Array
+    velocity: Array
+    status: Status
+    bad_windows: int
+    good_score: float
+    size: float
+
+    @classmethod
+    def start(cls) -> Motion:
+        """Return the state before the first window."""
+        return cls(
+            T_world_camera=np.eye(4),
+            t_us=0,
+            omega=np.zeros(3),
+            velocity=np.zeros(3),
+            status=Status.INITIALIZING,
+            bad_windows=0,
+            good_score=0.0,
+            size=float(c.WINDOW_EVENTS_START),
+        )
+
+
+def pack(motion: Motion, mapper: Mapper) -> dict[str, np.ndarray]:
+    """Return the state as arrays that `unpack` reads."""
+    state = {
+        "version": np.array([_VERSION]),
+        "T_world_camera": motion.T_world_camera,
+        "omega": motion.omega,
+        "velocity": motion.velocity,
+        "numbers": np.array([motion.good_score, motion.size]),
+        "counters": np.array(
+            [
+                motion.t_us,
+                STATUSES.index(motion.status),
+                motion.bad_windows,
+                mapper.refinements,
+                mapper.revision,
+                mapper.tried_at,
+                mapper.revision_at_keyframes,
+            ],
+            dtype=np.int64,
+        ),
+        "normal_world": mapper.plane.normal,
+        "distance": np.array([mapper.plane.distance]),
+        "trace_integers": np.array(
+            [
+                (t.window, t.first_event, t.events, t.start_us, t.mid_us, round(t.duration_s * 1e6), t.keyframe)
+                for t in mapper.traces
+            ],
+            dtype=np.int64,
+        ).reshape(-1, 7),
+        "trace_poses": np.array([t.T_world_camera for t in mapper.traces]).reshape(-1, 4, 4),
+        "trace_velocities": np.array([[t.omega, t.velocity] for t in mapper.traces]).reshape(-1, 2, 3),
+    }
+    if mapper.map is not None:
+        state |= {
+            "map_votes": mapper.map.votes,
+            "map_exposure": mapper.map.exposure,
+            "map_origin": mapper.map.origin,
+            "map_numbers": np.array([mapper.map.px_per_unit, mapper.map.freeze_px]),
+        }
+    return state
+
+
+def unpack(
+    state: Mapping[str, np.ndarray], camera: Camera, seed: int, mapper: Mapper, source: EventSource
+) -> Motion:
+    """Fill an empty mapper and return the motion of a packed state.
+
+    Args:
+        state: made by `pack`.
+        camera: of the recording.
+        seed: the configuration's, which draws the same samples again.
+        mapper: empty; filled in place.
+        source: the recording's events.
+
+    Raises:
+        ValueError: the state is incomplete or of another version.
+    """
+    try:
+        if int(state["version"][0]) != _VERSION:
+            raise ValueError(f"state: expected version {_VERSION}, got {int(state['version'][0])}")
+        t_us, status, bad, refinements, revision, tried_at, revision_at = (int(v) for v in state["counters"])
+        mapper.plane = Plane(normal=np.array(state["normal_world"]), distance=float(state["distance"][0]))
+        mapper.refinements, mapper.revision, mapper.tried_at = refinements, revision, tried_at
+        mapper.revision_at_keyframes = revision_at
+        for integers, T, speeds in zip(
+            state["trace_integers"], state["trace_poses"], state["trace_velocities"], strict=True
+        ):
+            trace = _trace(integers, T, speeds, camera, seed, source)
+            mapper.traces.append(trace)
+            if trace.keyframe >= 0:
+                mapper.keyframes.append(
+                    Keyframe(
+                        keyframe=trace.keyframe,
+                        window=trace.window,
+                        t_us=trace.start_us,
+                        T_world_camera=trace.T_world_start,
+                        image=np.zeros((camera.height, camera.width), dtype=np.uint8),
+                    )
+                )
+        if "map_votes" in state:
+            scale, freeze = (float(v) for v in state["map_numbers"])
+            votes = np.array(state["map_votes"], dtype=np.float32)
+            mapper.map = PlanarMap(
+                mapper.plane,
+                scale,
+                np.array(state["map_origin"]),
+                (votes.shape[0], votes.shape[1]),
+                freeze_px=freeze,
+            )
+            mapper.map.votes = votes
+            mapper.map.exposure = np.array(state["map_exposure"], dtype=np.float32)
+        return Motion(
+            T_world_camera=np.array(state["T_world_camera"]),
+            t_us=t_us,
+            omega=np.array(state["omega"]),
+            velocity=np.array(state["velocity"]),
+            status=STATUSES[status],
+            bad_windows=bad,
+            good_score=float(state["numbers"][0]),
+            size=float(state["numbers"][1]),
+        )
+    except KeyError as error:
+        raise ValueError(f"state: expected an array {error}, got none") from error
+
+
+def _trace(integers: np.ndarray, T: Array, speeds: Array, camera: Camera, seed: int, source: EventSource) -> Trace:
+    window, first, count, start_us, mid_us, duration_us, keyframe = (int(v) for v in integers)
+    events = make_window(
+        camera,
+        source.read(first, first + count),
+        index=window,
+        first_event=first,
+        end_us=start_us + duration_us,
+    )
+    bearings, t_s = sample_window(events, c.TRACE_EVENTS, seed)
+    return Trace(
+        window=window,
+        first_event=first,
+        start_us=start_us,
+        mid_us=mid_us,
+        duration_s=duration_us * 1e-6,
+        T_world_camera=np.array(T),
+        omega=np.array(speeds[0]),
+        velocity=np.array(speeds[1]),
+        bearings=bearings,
+        t_s=t_s,
+        events=count,
+        keyframe=keyframe,
+    )

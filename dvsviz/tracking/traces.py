@@ -1,0 +1,162 @@
+"""What the tracker remembers of past windows: sampled events and the pose, enough to rebuild the map and refine."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation, Slerp
+
+from dvsviz.contrast.iwe import warp_points
+from dvsviz.contrast.warp import map_warp
+from dvsviz.geometry import se3
+from dvsviz.geometry.plane import Plane, homography_map_camera
+from dvsviz.tracking.planar_map import PlanarMap
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Trace:
+    """A tracked window.
+
+    Attributes:
+        window: its number.
+        first_event: index of its first event in the recording.
+        start_us: time of its first event.
+        mid_us: time of its pose.
+        duration_s: its length.
+        T_world_camera: pose (4, 4) at `mid_us`.
+        omega: angular velocity (3,) at `mid_us`, camera frame.
+        velocity: linear velocity (3,) at `mid_us`, camera frame.
+        bearings: sampled events (N, 2) float32.
+        t_s: their times (N,) since `start_us`.
+        events: how many events the window had: what the sample stands for.
+        keyframe: its keyframe number, or -1.
+    """
+
+    window: int
+    first_event: int
+    start_us: int
+    mid_us: int
+    duration_s: float
+    T_world_camera: Array
+    omega: Array
+    velocity: Array
+    bearings: NDArray[np.float32]
+    t_s: Array
+    events: int
+    keyframe: int = -1
+
+    @property
+    def mid_s(self) -> float:
+        """Time of the pose since `start_us`."""
+        return (self.mid_us - self.start_us) * 1e-6
+
+    @property
+    def T_world_start(self) -> Array:
+        """The pose (4, 4) at the first event: the pose of the window."""
+        return se3.propagate(self.T_world_camera, self.omega, self.velocity, -self.mid_s)
+
+    def deskewed(self, plane: Plane) -> Array:
+        """Return the bearings (N, 2) moved to the time of the pose."""
+        warp = map_warp(
+            self.T_world_camera,
+            self.omega,
+            self.velocity,
+            plane,
+            -self.mid_s,
+            self.duration_s,
+            np.eye(3),
+            derivatives=False,
+        )
+        uv = warp_points(self.bearings, self.t_s, warp).astype(np.float64)
+        H = np.linalg.inv(homography_map_camera(self.T_world_camera, plane))
+        q = uv @ H[:, :2].T + H[:, 2]
+        bearings = q[:, :2] / q[:, 2:]
+        return bearings[np.isfinite(bearings).all(axis=1)]
+
+
+def correct(traces: Sequence[Trace], keyframe_poses: dict[int, Array]) -> list[Trace]:
+    """Return the traces re-expressed after their keyframes moved.
+
+    A keyframe's correction `T_new T_old^-1` is interpolated in time between keyframes and held outside them;
+    velocities follow from the corrected neighbours.
+
+    Args:
+        traces: in time order.
+        keyframe_poses: refined poses (4, 4) by keyframe number.
+    """
+    anchors = [t for t in traces if t.keyframe in keyframe_poses]
+    if not anchors:
+        return list(traces)
+    C = np.stack([keyframe_poses[t.keyframe] @ se3.inverse(t.T_world_camera) for t in anchors])
+    # The correction's translation is taken where the camera is, not at the world's origin.
+    shift = np.stack([keyframe_poses[t.keyframe][:3, 3] - t.T_world_camera[:3, 3] for t in anchors])
+    s = np.array([(t.mid_us - traces[0].mid_us) * 1e-6 for t in anchors])
+    at = np.array([(t.mid_us - traces[0].mid_us) * 1e-6 for t in traces])
+    inside = np.clip(at, s[0], s[-1])
+    if len(anchors) > 1:
+        R = Slerp(s, Rotation.from_matrix(C[:, :3, :3]))(inside).as_matrix()
+    else:
+        R = np.repeat(C[:, :3, :3], len(traces), axis=0)
+    d = np.stack([np.interp(inside, s, shift[:, i]) for i in range(3)], axis=-1)
+    poses = [
+        se3.pose(R[i] @ t.T_world_camera[:3, :3], t.T_world_camera[:3, 3] + d[i]) for i, t in enumerate(traces)
+    ]
+    return with_poses(traces, poses)
+
+
+def with_poses(traces: Sequence[Trace], poses: Sequence[Array]) -> list[Trace]:
+    """Return the traces with new poses at their middles, their velocities by central differences."""
+    out: list[Trace] = []
+    n = len(traces)
+    for i, trace in enumerate(traces):
+        omega, velocity = trace.omega, trace.velocity
+        a, b = max(0, i - 1), min(n - 1, i + 1)
+        dt = (traces[b].mid_us - traces[a].mid_us) * 1e-6
+        # Over a gap the difference is no velocity: keep what was tracked.
+        if b > a and 0 < dt < 0.4:
+            R = poses[i][:3, :3]
+            omega = se3.log_so3(poses[a][:3, :3].T @ poses[b][:3, :3]) / dt
+            velocity = R.T @ (poses[b][:3, 3] - poses[a][:3, 3]) / dt
+        out.append(replace(trace, T_world_camera=poses[i], omega=omega, velocity=velocity))
+    return out
+
+
+def add_to_map(planar_map: PlanarMap, trace: Trace, sensor: tuple[int, int], K: Array) -> None:
+    """Add a trace's events to the map, each standing for `events / len(bearings)` events.
+
+    Args:
+        planar_map: grown where needed.
+        trace: the window.
+        sensor: (height, width).
+        K: the camera's calibration (3, 3).
+    """
+    warp = map_warp(
+        trace.T_world_camera,
+        trace.omega,
+        trace.velocity,
+        planar_map.plane,
+        -trace.mid_s,
+        trace.duration_s,
+        np.eye(3),
+        derivatives=False,
+    )
+    uv = warp_points(trace.bearings, trace.t_s, warp)
+    finite = uv[np.isfinite(uv[:, 0])]
+    if len(finite) == 0:
+        return
+    planar_map.cover(*np.percentile(finite, [0.5, 99.5], axis=0))
+    cells = ((uv - planar_map.origin) * planar_map.px_per_unit).astype(np.float32)
+    projection = planar_map.projection
+    planar_map.add(
+        cells,
+        projection @ warp.nodes[0],
+        projection @ warp.nodes[-1],
+        sensor,
+        K,
+        weight=trace.events / max(1, len(trace.bearings)),
+    )

@@ -1,0 +1,354 @@
+r"""The tracker: predict, align, judge, map, keyframe, refine, and find the way back.
+
+    window -> predict -> align with the map -> judge -> status
+                                                |  \\
+              map <- add <- velocity <--- good  \   lost -> relocalize
+               ^                            |
+               +---- refine <- keyframe <---+
+
+`Tracker.step` reads as this diagram. A tracker knows nothing of files or viewers: it takes windows and returns results,
+and `take_updates` hands over keyframes, map revisions and refined poses.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvsviz.config import TrackerConfig
+from dvsviz.contrast.iwe import sample_window
+from dvsviz.contrast.solve import ContrastProblem, ContrastSolution, maximize_contrast
+from dvsviz.events.recording import EventSource
+from dvsviz.events.windows import EventWindow
+from dvsviz.geometry import se3
+from dvsviz.geometry.camera import Camera
+from dvsviz.geometry.plane import Plane
+from dvsviz.session.records import Status, TrackerUpdates, WindowResult
+from dvsviz.tracking import constants as c
+from dvsviz.tracking import diagnose
+from dvsviz.tracking.align import Alignment, align
+from dvsviz.tracking.mapping import Mapper
+from dvsviz.tracking.measure import WindowImages, measure
+from dvsviz.tracking.relocalize import relocalize
+from dvsviz.tracking.state import Motion, pack, unpack
+from dvsviz.tracking.traces import Trace
+
+Array = NDArray[np.float64]
+
+_AHEAD = np.array([0.0, 0.0, -1.0])
+
+
+def free_parameters(motion: str) -> NDArray[np.bool_]:
+    """Return the mask (6,) of rotation and position that a motion model solves for."""
+    mask = np.ones(6, dtype=bool)
+    if motion == "translation":
+        mask[:3] = False
+    elif motion == "rotation":
+        mask[3:] = False
+    return mask
+
+
+class Tracker:
+    """Tracks a camera before a plane, window by window.
+
+    Args:
+        camera: the calibrated camera.
+        config: settings; the defaults need none.
+
+    A loop of five lines tracks a recording::
+
+        recording = open_recording("slider_depth.zip")
+        tracker = Tracker(recording.camera)
+        for window in windows(recording, lambda: tracker.window_size):
+            result = tracker.step(window)
+            print(result.status, result.T_world_camera[:3, 3])
+    """
+
+    def __init__(self, camera: Camera, config: TrackerConfig | None = None) -> None:
+        self.camera = camera
+        self.config = config or TrackerConfig()
+        self._focal_px = 0.5 * (camera.fx + camera.fy)
+        self._free = free_parameters(self.config.motion)
+        self._mapper = Mapper(camera, self._free, solve_normal=self.config.motion == "planar")
+        self._motion = Motion.start()
+
+    @property
+    def window_size(self) -> int:
+        """Events that the next window should have: the configured number, or by the image's motion."""
+        if self.config.window is not None:
+            return self.config.window
+        return int(np.clip(self._motion.size, c.WINDOW_EVENTS_MIN, c.WINDOW_EVENTS_MAX))
+
+    @property
+    def status(self) -> Status:
+        """What is known about the last pose."""
+        return self._motion.status
+
+    def step(self, window: EventWindow) -> WindowResult:
+        """Return the result of one window; windows are given in order, each once."""
+        clock = time.perf_counter()
+        sampled = sample_window(window, c.TRACE_EVENTS, self.config.seed)
+        mid_us = window.start_us + (window.end_us - window.start_us) // 2
+        note = ""
+        if self._mapper.map is None:
+            trace, alignment = self._start(window, sampled, mid_us), None
+        elif self._motion.status in (Status.LOST, Status.RELOCALIZING):
+            trace, alignment, note = self._search(window, sampled, mid_us)
+        else:
+            trace, alignment = self._follow(window, sampled, mid_us)
+        images = measure(self.camera, self._mapper.plane, window, trace)
+        judged = self._judge(trace, alignment, images)
+        if judged.note:
+            note = judged.note
+        overlap = diagnose.overlap(self._mapper.live_map, images.warped, trace.T_world_camera, self.camera)
+        used = self._mapper.revision
+        keyframe = -1
+        if self._motion.status in (Status.INITIALIZING, Status.TRACKING):
+            keyframe = self._mapper.add(trace, images.warped, overlap)
+        elif self._motion.status is Status.WEAK:
+            self._mapper.remember(trace)
+        if self._mapper.due():
+            trace = self._mapper.refine(trace)
+        if self._motion.status not in (Status.LOST, Status.RELOCALIZING):
+            self._motion.T_world_camera, self._motion.omega, self._motion.velocity = (
+                trace.T_world_camera,
+                trace.omega,
+                trace.velocity,
+            )
+            self._motion.t_us = mid_us
+        self._resize(images.displacement_px)
+        if note:
+            self._mapper.log(window.index, "warning" if self._motion.status is Status.LOST else "info", note)
+        return WindowResult(
+            window=window.index,
+            start_us=window.start_us,
+            end_us=window.end_us,
+            first_event=window.first_event,
+            end_event=window.end_event,
+            status=self._motion.status,
+            T_world_camera=trace.T_world_start,
+            omega=trace.omega,
+            velocity=trace.velocity,
+            normal_world=self._mapper.plane.normal,
+            contrast_before=images.contrast_before,
+            contrast_after=images.contrast_after,
+            overlap=overlap,
+            score=judged.score,
+            confidence=judged.confidence,
+            condition=judged.condition,
+            weak_direction=judged.weak_direction,
+            iterations=alignment.iterations if alignment else 0,
+            events_used=len(sampled[0]),
+            map_revision=used,
+            keyframe=keyframe,
+            time_spent_s=time.perf_counter() - clock,
+            note=note,
+        )
+
+    def take_updates(self) -> TrackerUpdates:
+        """Return what was made since the last call: keyframes, map revisions, refined poses, log."""
+        return self._mapper.take_updates()
+
+    def finish(self) -> TrackerUpdates:
+        """Return the last updates, after a final refinement of everything."""
+        self._mapper.finish()
+        return self._mapper.take_updates()
+
+    # --- finding the pose ----------------------------------------------------------------------------------
+
+    def _trace(
+        self, window: EventWindow, sampled: tuple[NDArray[np.float32], Array], mid_us: int, T: Array
+    ) -> Trace:
+        return Trace(
+            window=window.index,
+            first_event=window.first_event,
+            start_us=window.start_us,
+            mid_us=mid_us,
+            duration_s=window.duration_s,
+            T_world_camera=T,
+            omega=self._motion.omega,
+            velocity=self._motion.velocity,
+            bearings=sampled[0],
+            t_s=sampled[1],
+            events=len(window),
+        )
+
+    def _contrast(self, window: EventWindow) -> ContrastSolution:
+        """Return the motion of a window by contrast alone, from a zero start."""
+        step = max(1, len(window) // c.CONTRAST_EVENTS)
+        signs = np.where(window.events.is_positive, np.float32(1), np.float32(-1))[::step]
+        problem = ContrastProblem(
+            bearings=window.bearings[::step],
+            t_s=window.t_s[::step],
+            weights=signs,
+            camera=self.camera,
+            duration_s=window.duration_s,
+        )
+        plane = self._mapper.plane.seen_from(self._motion.T_world_camera)
+        if plane.distance < 0.05:
+            plane = Plane(normal=_AHEAD)
+        return maximize_contrast(problem, plane, free=self._free)
+
+    def _start(self, window: EventWindow, sampled: tuple[NDArray[np.float32], Array], mid_us: int) -> Trace:
+        """Return the first window's trace: its pose is the identity, its motion found by contrast alone."""
+        solution = self._contrast(window)
+        mid_s = (mid_us - window.start_us) * 1e-6
+        T = se3.propagate(np.eye(4), solution.omega, solution.velocity, mid_s)
+        R_mid_start = se3.exp_so3(solution.omega * mid_s).T
+        self._motion.omega, self._motion.velocity = solution.omega, R_mid_start @ solution.velocity
+        self._mapper.begin(Plane(normal=_AHEAD))
+        return self._trace(window, sampled, mid_us, T)
+
+    def _follow(
+        self, window: EventWindow, sampled: tuple[NDArray[np.float32], Array], mid_us: int
+    ) -> tuple[Trace, Alignment]:
+        """Return the window aligned with the map from a constant-velocity prediction."""
+        dt = max(1e-6, (mid_us - self._motion.t_us) * 1e-6)
+        # Through a gap without events the camera stood still: the velocity is not carried across it.
+        dt_predict = min(dt, 2e-3 * self.config.max_window_ms)
+        predicted = se3.propagate(
+            self._motion.T_world_camera, self._motion.omega, self._motion.velocity, dt_predict
+        )
+        velocity = se3.exp_so3(self._motion.omega * dt_predict).T @ self._motion.velocity
+        omega = self._motion.omega
+        alignment = self._align(sampled, (mid_us - window.start_us) * 1e-6, predicted, omega, velocity)
+        T = alignment.T_world_camera
+        measured_omega = se3.log_so3(self._motion.T_world_camera[:3, :3].T @ T[:3, :3]) / dt
+        measured_velocity = T[:3, :3].T @ (T[:3, 3] - self._motion.T_world_camera[:3, 3]) / dt
+        self._motion.omega = omega + c.VELOCITY_GAIN * (measured_omega - omega)
+        self._motion.velocity = velocity + c.VELOCITY_GAIN * (measured_velocity - velocity)
+        return self._trace(window, sampled, mid_us, T), alignment
+
+    def _align(
+        self, sampled: tuple[NDArray[np.float32], Array], mid_s: float, T: Array, omega: Array, velocity: Array
+    ) -> Alignment:
+        bearings, t_s = sampled
+        if len(bearings) > c.ALIGN_EVENTS:
+            step = len(bearings) / c.ALIGN_EVENTS
+            pick = (np.arange(c.ALIGN_EVENTS) * step).astype(np.int64)
+            bearings, t_s = bearings[pick], t_s[pick]
+        return align(
+            self._mapper.live_map,
+            bearings,
+            t_s - mid_s,
+            T,
+            omega,
+            velocity,
+            focal_px=self._focal_px,
+            free=self._free,
+        )
+
+    def _search(
+        self, window: EventWindow, sampled: tuple[NDArray[np.float32], Array], mid_us: int
+    ) -> tuple[Trace, Alignment | None, str]:
+        """Return the window placed by relocalization, or where it was last seen."""
+        solution = self._contrast(window)
+        mid_s = (mid_us - window.start_us) * 1e-6
+        self._motion.omega = solution.omega
+        self._motion.velocity = se3.exp_so3(solution.omega * mid_s).T @ solution.velocity
+        trace = self._trace(window, sampled, mid_us, self._motion.T_world_camera)
+        found = relocalize(
+            self._mapper.live_map,
+            self.camera,
+            trace.deskewed(self._mapper.plane).astype(np.float32),
+            self._mapper.keyframe_poses(c.RELOCALIZE_KEYFRAMES),
+            free=self._free,
+        )
+        self._motion.status = Status.RELOCALIZING if found is not None else Status.LOST
+        if found is None:
+            return trace, None, ""
+        believed = found.score > c.RELOCALIZE_SCORE * self._motion.good_score
+        believed &= found.score - found.runner_up > c.RELOCALIZE_LEAD
+        if not believed:
+            self._motion.status = Status.LOST
+            return trace, None, ""
+        alignment = self._align(sampled, mid_s, found.T_world_camera, self._motion.omega, self._motion.velocity)
+        self._motion.status = Status.TRACKING
+        self._motion.bad_windows = 0
+        self._motion.t_us = mid_us
+        return (
+            replace(trace, T_world_camera=alignment.T_world_camera),
+            alignment,
+            f"relocalized: score {found.score:.2f}, next best {found.runner_up:.2f}",
+        )
+
+    # --- judging it ----------------------------------------------------------------------------------------
+
+    def _judge(self, trace: Trace, alignment: Alignment | None, images: WindowImages) -> diagnose.Judgement:
+        """Return what the numbers say of a window, and move the status."""
+        if alignment is None:
+            return diagnose.Judgement.unknown()
+        agreed = diagnose.agreement(self._mapper.live_map, alignment.value, trace.T_world_camera, self.camera)
+        condition, weak = diagnose.weakest(alignment.information, self._free)
+        good = self._motion.good_score if self._motion.good_score > 0 else agreed.score
+        ratio = agreed.score / max(good, 1e-3)
+        judged = diagnose.Judgement(
+            score=agreed.score,
+            confidence=diagnose.confidence(ratio, condition, alignment.inside),
+            condition=condition,
+            weak_direction=weak,
+            note="",
+        )
+        bad = ratio < c.LOST_RATIO or alignment.inside < c.LOST_INSIDE
+        weak_now = ratio < c.WEAK_RATIO or condition > c.WEAK_CONDITION
+        self._motion.bad_windows = self._motion.bad_windows + 1 if bad else 0
+        if self._motion.status is Status.INITIALIZING:
+            if self._mapper.refinements > 0:
+                self._motion.status = Status.TRACKING
+            self._motion.good_score = agreed.score if self._motion.good_score == 0 else self._motion.good_score
+        if self._motion.status is not Status.INITIALIZING:
+            if self._motion.bad_windows >= c.LOST_WINDOWS:
+                self._motion.status = Status.LOST
+                judged = replace(judged, note=self._why(judged, images, alignment))
+            elif bad or weak_now:
+                self._motion.status = Status.WEAK
+            else:
+                self._motion.status = Status.TRACKING
+        if self._motion.status in (Status.TRACKING, Status.INITIALIZING):
+            self._motion.good_score += c.SCORE_GAIN * (agreed.score - self._motion.good_score)
+        return judged
+
+    def _why(self, judged: diagnose.Judgement, images: WindowImages, alignment: Alignment) -> str:
+        if alignment.inside < c.LOST_INSIDE:
+            return f"lost: only {100 * alignment.inside:.0f} % of the events fall on the map"
+        if images.edge_pixels < c.TEXTURE_EDGE_PIXELS:
+            return f"lost: too little texture, {images.edge_pixels} edge pixels in view"
+        if judged.condition > c.WEAK_CONDITION:
+            return f"lost: {diagnose.in_words(judged.weak_direction)} cannot be seen in this texture"
+        return f"lost: score {judged.score:.2f}, {self._motion.good_score:.2f} when it was good"
+
+    def _resize(self, displacement: float) -> None:
+        """Move the window size towards the wanted image displacement."""
+        factor = np.clip(c.WINDOW_DISPLACEMENT_PX / max(displacement, 0.1), 1 / c.WINDOW_GROWTH, c.WINDOW_GROWTH)
+        self._motion.size = float(
+            np.clip(self._motion.size * np.sqrt(factor), c.WINDOW_EVENTS_MIN, c.WINDOW_EVENTS_MAX)
+        )
+
+    # --- checkpoints ---------------------------------------------------------------------------------------
+
+    def checkpoint(self) -> dict[str, np.ndarray]:
+        """Return the whole state as named arrays, from which `restore` goes on with the same results."""
+        return pack(self._motion, self._mapper)
+
+    @classmethod
+    def restore(
+        cls, camera: Camera, config: TrackerConfig, state: Mapping[str, np.ndarray], source: EventSource
+    ) -> Tracker:
+        """Return a tracker that goes on where `checkpoint` was taken.
+
+        Args:
+            camera: the same as then.
+            config: the same as then.
+            state: what `checkpoint` returned.
+            source: the recording's events.
+
+        Raises:
+            ValueError: the state was made by another version or is incomplete.
+        """
+        tracker = cls(camera, config)
+        tracker._motion = unpack(state, camera, config.seed, tracker._mapper, source)
+        return tracker
