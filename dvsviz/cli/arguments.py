@@ -1,0 +1,360 @@
+"""What can be said on the command line: one dataclass a subcommand, its docstring the help text."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, Protocol, Union, get_args
+
+import tyro
+from tyro.conf import Positional, arg
+from tyro.constructors import PrimitiveConstructorSpec
+
+from dvsviz.config import Motion
+from dvsviz.errors import DvsvizError
+
+Scene = Literal["shapes", "poster", "stripes", "checkerboard"]
+CameraMotion = Literal["handheld", "slider", "rotation", "shake"]
+Align = Literal["sim3", "se3", "none"]
+Poses = Literal["refined", "online"]
+
+
+class UsageError(DvsvizError):
+    """A command line that cannot be understood."""
+
+
+class Command(Protocol):
+    """A parsed subcommand."""
+
+    def run(self) -> int:
+        """Do it and return the exit code."""
+        ...
+
+
+def _size(word: str) -> tuple[int, int]:
+    found = re.fullmatch(r"(\d+)[xX×](\d+)", word)
+    if not found:
+        raise ValueError(f"expected WIDTHxHEIGHT such as 240x180, got {word}")
+    return int(found[1]), int(found[2])
+
+
+def _number(kind: type[int] | type[float]) -> Callable[[str], Any]:
+    def read(word: str) -> Any:
+        try:
+            return kind(word)
+        except ValueError:
+            wanted = "a whole number" if kind is int else "a number"
+            raise ValueError(f"expected {wanted}, got {word}") from None
+
+    return read
+
+
+def _option(metavar: str, read: Callable[[str], Any], unset: str) -> tuple[Any, Any]:
+    """Return the constructor of an option that may be left away, and the words for what happens then."""
+    spec = PrimitiveConstructorSpec(
+        nargs=1,
+        metavar=metavar,
+        instance_from_str=lambda words: read(words[0]),
+        is_instance=lambda value: True,
+        str_from_instance=lambda value: [str(value)],
+    )
+    return spec, arg(help_behavior_hint=f"(default: {unset})")
+
+
+def _motion(word: str) -> str:
+    if word not in get_args(Motion):
+        raise ValueError(f"expected one of {', '.join(get_args(Motion))}, got {word}")
+    return word
+
+
+Flag = Annotated[bool, arg(help_behavior_hint="")]
+Json = Annotated[bool, arg(help_behavior_hint="", help="Print one JSON object on standard output.")]
+Size = Annotated[
+    tuple[int, int] | None,
+    *_option("WxH", _size, "what the recording says"),
+    arg(help="Sensor width and height in pixels, where the recording does not say it."),
+]
+Calibration = Annotated[
+    Path | None,
+    *_option("FILE", Path, "the recorded one"),
+    arg(help="Calibration file that replaces the recorded one: fx fy cx cy k1 k2 p1 p2 k3."),
+]
+Repair = Annotated[
+    bool,
+    arg(
+        help_behavior_hint="",
+        help="Drop and count events, poses and frames that are wrong, instead of refusing the file.",
+    ),
+]
+Folder = Annotated[
+    Path | None,
+    *_option("DIR", Path, "$DVSVIZ_SESSIONS, else sessions"),
+    arg(help="Where sessions are kept."),
+]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Opening:
+    """How a recording is opened."""
+
+    size: Size = None
+    calibration: Calibration = None
+    repair: Repair = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tracking(Opening):
+    """How a recording is tracked."""
+
+    motion: Annotated[Motion | None, *_option("{planar,translation,rotation}", _motion, "planar")] = None
+    """planar: 6-DoF in front of a plane; translation: no rotation; rotation: no translation."""
+    window: Annotated[int | None, *_option("N", _number(int), "chosen by the image motion")] = None
+    """Events a window; a window also ends after 100 ms."""
+    plane_distance: Annotated[float | None, *_option("METRES", _number(float), "not known")] = None
+    """Distance from the first camera to the plane, for metric output."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Info:
+    """Say what is in a recording or a session.
+
+    Example:  dvsviz info slider_depth.zip --json
+    """
+
+    file: Annotated[Positional[Path], arg(metavar="FILE")]
+    """A recording (file, folder or archive) or a session."""
+    size: Size = None
+    calibration: Calibration = None
+    repair: Repair = False
+    json: Json = False
+
+    def run(self) -> int:
+        """Print it."""
+        from dvsviz.cli.files import info
+
+        return info(self)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Simulate:
+    """Write a simulated recording of a wall, with its ground truth.
+
+    Example:  dvsviz simulate --scene shapes --motion handheld --seconds 10 --seed 1 --out r.h5
+    """
+
+    out: Annotated[Path, arg(metavar="FILE.h5")]
+    """The recording to write."""
+    scene: Scene = "shapes"
+    """What is on the wall."""
+    motion: CameraMotion = "handheld"
+    """How the camera moves."""
+    seconds: float = 10.0
+    """Duration."""
+    seed: int = 1
+    """Of everything random: the same seed writes the same events."""
+    force: Flag = False
+    """Replace a recording that is there."""
+
+    def run(self) -> int:
+        """Simulate."""
+        from dvsviz.cli.files import simulate
+
+        return simulate(self)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Track(Tracking):
+    """Track a recording into a session.
+
+    Examples:  dvsviz track r.h5  |  dvsviz track slider_depth.zip --motion translation --json
+               dvsviz track events.npz --size 240x180 --calibration calib.txt
+    """
+
+    recording: Annotated[Positional[Path], arg(metavar="RECORDING")]
+    """The recording: file, folder or archive."""
+    out: Annotated[Path | None, *_option("SESSION.h5", Path, "sessions/NAME.h5")] = None
+    """The session to write."""
+    force: Flag = False
+    """Replace a session that is there."""
+    resume: Flag = False
+    """Continue an interrupted session from its last checkpoint."""
+    json: Json = False
+    rerun: Annotated[Path | None, *_option("FILE.rrd", Path, "none")] = None
+    """Log to a rerun recording while tracking."""
+
+    def run(self) -> int:
+        """Track."""
+        from dvsviz.cli.runs import track
+
+        return track(self)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Batch(Tracking):
+    """Track several recordings, one after the other, and print a table.
+
+    Example:  dvsviz batch recordings/*.h5 --sessions runs
+    """
+
+    recordings: Annotated[Positional[tuple[Path, ...]], arg(metavar="RECORDING [RECORDING ...]")]
+    """The recordings: files, folders or archives."""
+    sessions: Folder = None
+    force: Flag = False
+    """Replace sessions that are there."""
+    json: Json = False
+
+    def run(self) -> int:
+        """Track them all."""
+        from dvsviz.cli.runs import batch
+
+        return batch(self)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Evaluate:
+    """Compare a session, or a trajectory in TUM layout, with the truth.
+
+    Examples:  dvsviz evaluate sessions/r.h5  |  dvsviz evaluate estimate.tum --truth truth.tum --align se3
+    """
+
+    session: Annotated[Positional[Path], arg(metavar="SESSION")]
+    """A session, or a TUM file of estimated poses."""
+    truth: Annotated[Path | None, *_option("FILE.tum", Path, "the session's own")] = None
+    """True poses in TUM layout, on the same clock."""
+    align: Align = "sim3"
+    """What is removed before positions are compared: similarity, rigid motion or nothing."""
+    poses: Poses = "refined"
+    """A session's poses: as refined by later windows, or as known at the time."""
+    json: Json = False
+
+    def run(self) -> int:
+        """Compare."""
+        from dvsviz.cli.files import evaluate
+
+        return evaluate(self)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Export:
+    """Write a session as a rerun recording or as a TUM trajectory.
+
+    Examples:  dvsviz export sessions/r.h5 --to r.rrd  |  dvsviz export sessions/r.h5 --to r.tum
+    """
+
+    session: Annotated[Positional[Path], arg(metavar="SESSION")]
+    """The session."""
+    to: Annotated[Path, arg(metavar="FILE.rrd|FILE.tum")]
+    """The file to write; its ending says what."""
+    poses: Poses = "refined"
+    """Of a TUM file: as refined by later windows, or as known at the time."""
+    force: Flag = False
+    """Replace a file that is there."""
+
+    def run(self) -> int:
+        """Export."""
+        from dvsviz.cli.files import export
+
+        return export(self)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Serve:
+    """Open the dashboard in a browser.
+
+    Examples:  dvsviz serve  |  dvsviz serve slider_depth.zip --port 0 --no-browser
+    """
+
+    paths: Annotated[Positional[tuple[Path, ...]], arg(metavar="[PATH ...]", help_behavior_hint="")] = ()
+    """Recordings to track live, and sessions to show."""
+    host: str = "127.0.0.1"
+    """Address to listen at; others than this machine's own are reachable from the network."""
+    port: Annotated[int, arg(metavar="PORT")] = 8560
+    """Port to listen at; 0 for any free one."""
+    no_browser: Flag = False
+    """Do not open a browser."""
+    sessions: Folder = None
+
+    def run(self) -> int:
+        """Serve until stopped."""
+        from dvsviz.cli.serve import serve
+
+        return serve(self)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Doctor:
+    """Say what dvsviz finds on this machine: versions, browser, folders, threads."""
+
+    json: Json = False
+
+    def run(self) -> int:
+        """Print it."""
+        from dvsviz.cli.doctor import doctor
+
+        return doctor(self)
+
+
+COMMANDS: dict[str, tuple[Any, str]] = {
+    "info": (Info, "say what is in a recording or a session"),
+    "simulate": (Simulate, "write a simulated recording with its ground truth"),
+    "track": (Track, "track a recording into a session"),
+    "evaluate": (Evaluate, "compare a session with the truth"),
+    "export": (Export, "write a session for rerun or as a TUM trajectory"),
+    "serve": (Serve, "open the dashboard"),
+    "batch": (Batch, "track several recordings and print a table"),
+    "doctor": (Doctor, "say what dvsviz finds on this machine"),
+}
+
+_DESCRIPTION = """Planar event-camera tracking, and a dashboard to understand it.
+
+First steps:  dvsviz simulate --out r.h5  |  dvsviz track r.h5  |  dvsviz serve
+"""
+
+
+def parse(argv: Sequence[str]) -> Command:
+    """Return the subcommand that the arguments say.
+
+    Raises:
+        UsageError: they say nothing that can be done, in one line.
+        SystemExit: help or version was asked for and printed.
+    """
+    if list(argv) == ["--version"]:
+        from dvsviz import __version__
+
+        print(f"dvsviz {__version__}")
+        raise SystemExit(0)
+    config = (tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes)
+    complaint = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(complaint):
+            if argv and argv[0] in COMMANDS:
+                kind, _ = COMMANDS[argv[0]]
+                return tyro.cli(kind, prog=f"dvsviz {argv[0]}", args=list(argv[1:]), config=config)
+            kinds = (
+                Annotated[kind, tyro.conf.subcommand(name, description=text)]
+                for name, (kind, text) in COMMANDS.items()
+            )
+            every: Any = Union[tuple(kinds)]  # noqa: UP007
+            return tyro.cli(every, prog="dvsviz", description=_DESCRIPTION, args=list(argv), config=config)
+    except SystemExit as stop:
+        if not stop.code:
+            raise
+        raise UsageError(_one_line(complaint.getvalue())) from None
+
+
+def _one_line(box: str) -> str:
+    """Return the complaint of tyro's framed message as one line."""
+    parts: list[list[str]] = [[]]
+    for line in box.splitlines():
+        inside = line.strip("│╭╮╰╯ ")
+        if re.fullmatch(r"[─\s]*", inside):
+            parts.append([])
+        elif line.startswith("│"):
+            parts[-1].append(inside)
+    sentences = [" ".join(part).rstrip(".") for part in parts if part]
+    sentences = [sentence for sentence in sentences if not sentence.startswith("Argument helptext")]
+    return "; ".join(sentences) or " ".join(box.split()) or "the arguments cannot be understood; see dvsviz --help"

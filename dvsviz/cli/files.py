@@ -1,0 +1,180 @@
+"""`dvsviz info`, `simulate`, `evaluate` and `export`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from dvsviz.cli import arguments
+from dvsviz.cli.console import note, print_fields, print_json, share_bar
+from dvsviz.errors import DvsvizError, SessionError
+
+
+def info(command: arguments.Info) -> int:
+    """Say what is in a recording or a session."""
+    from dvsviz.session.recognise import is_session
+
+    if is_session(command.file):
+        found = _session_info(command.file)
+    else:
+        from dvsviz.formats.info import describe
+
+        with share_bar(f"reading {command.file.name}") as show:
+            found = describe(
+                command.file,
+                size=command.size,
+                calibration=command.calibration,
+                repair=command.repair,
+                progress=show,
+            )
+    if command.json:
+        print_json(found)
+    else:
+        print_fields({name.replace("_", " "): _words(value) for name, value in found.items()})
+    return 0
+
+
+def simulate(command: arguments.Simulate) -> int:
+    """Write a simulated recording."""
+    from dvsviz.simulate.simulate import simulate as run
+
+    if command.out.exists() and not command.force:
+        raise DvsvizError("already exists", path=command.out, hint="replace it with --force")
+    try:
+        with share_bar(f"simulating {command.out.name}") as show:
+            run(
+                command.out,
+                scene=command.scene,
+                motion=command.motion,
+                seconds=command.seconds,
+                seed=command.seed,
+                progress=show,
+            )
+    except ValueError as error:
+        raise DvsvizError(str(error), hint="see dvsviz simulate --help") from error
+    note(f"wrote {command.out}")
+    return 0
+
+
+def evaluate(command: arguments.Evaluate) -> int:
+    """Compare a session or a trajectory with the truth."""
+    from dvsviz.evaluate.evaluate import evaluate as run
+    from dvsviz.evaluate.tables import evaluation_table
+    from dvsviz.geometry.tum import read_tum
+
+    truth = read_tum(command.truth) if command.truth is not None else None
+    if _is_text(command.session):
+        if truth is None:
+            raise DvsvizError(
+                "is no session, and as a trajectory it needs the truth",
+                path=command.session,
+                hint="name a file of true poses in TUM layout with --truth",
+            )
+        found = run(read_tum(command.session), truth, alignment=command.align)
+    else:
+        from dvsviz.session.store import open_session
+
+        with open_session(command.session) as session:
+            if not session.complete:
+                note(f"warning: {command.session}: the session is incomplete, its first part is compared")
+            found = run(session, truth, alignment=command.align, poses=command.poses)
+    if command.json:
+        print_json(found.to_dict())
+    else:
+        print(evaluation_table(found))
+    return 0
+
+
+def export(command: arguments.Export) -> int:
+    """Write a session as another file."""
+    from dvsviz.session.store import open_session
+
+    kind = command.to.suffix.lower()
+    if kind not in (".rrd", ".tum"):
+        raise DvsvizError(
+            f"cannot write {kind or 'a file without ending'}", path=command.to, hint="name x.rrd or x.tum"
+        )
+    if command.to.exists() and not command.force:
+        raise DvsvizError("already exists", path=command.to, hint="replace it with --force")
+    with open_session(command.session) as session:
+        if not session.complete:
+            note(f"warning: {command.session}: the session is incomplete, its first part is written")
+        if kind == ".tum":
+            from dvsviz.export.tum import export_tum
+
+            export_tum(session, command.to, poses=command.poses)
+        else:
+            from dvsviz.export.rerun import export_rerun
+
+            with share_bar(f"writing {command.to.name}") as show:
+                export_rerun(session, command.to, progress=show)
+    note(f"wrote {command.to}")
+    return 0
+
+
+def _session_info(path: Path) -> dict[str, Any]:
+    """Return what a session holds; the keys of a recording's description come first."""
+    import json
+
+    from dvsviz.pipeline import evaluation_of, summarize
+    from dvsviz.session.schema import FORMAT, VERSION
+    from dvsviz.session.store import open_session
+
+    with open_session(path) as session:
+        header = session.header
+        config: dict[str, Any] = json.loads(header.config_json)
+        state = "complete" if session.complete else "live" if session.is_live else "incomplete"
+        return {
+            "format": FORMAT,
+            "version": VERSION,
+            "name": session.name,
+            "state": state,
+            "complete": session.complete,
+            "events": header.events,
+            "duration_s": header.duration_s,
+            "width": header.camera.width,
+            "height": header.camera.height,
+            "recording": header.recording_path,
+            "recording_format": header.recording_format,
+            "recording_found": Path(header.recording_path).exists(),
+            "motion": config.get("motion"),
+            **summarize(session.column("status")),
+            "keyframes": len(session.keyframes),
+            "map_revisions": len(session.map_revisions),
+            "failures": len(session.failures),
+            "ground_truth": session.ground_truth is not None,
+            "evaluation": evaluation_of(session),
+            "config": config,
+            "created": header.created,
+            "program_version": header.program_version,
+        }
+
+
+def _is_text(path: Path) -> bool:
+    """Return whether a file is there and is no HDF5 file, as a trajectory in TUM layout is not."""
+    try:
+        with path.open("rb") as file:
+            return not file.read(4).startswith(b"\x89HDF")
+    except IsADirectoryError:
+        raise SessionError("is a folder", path=path, hint="name a session file") from None
+    except FileNotFoundError:
+        raise SessionError(
+            "no such session", path=path, hint="check the path; `dvsviz track` makes sessions"
+        ) from None
+
+
+def _words(value: object) -> str:
+    """Return a value for people."""
+    if value is None:
+        return "–"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, int):
+        return f"{value:,d}"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {_words(inner)}" for key, inner in value.items()) or "–"
+    if isinstance(value, list | tuple):
+        return ", ".join(_words(inner) for inner in value) or "–"
+    return str(value)

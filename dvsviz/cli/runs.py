@@ -1,0 +1,180 @@
+"""`dvsviz track` and `dvsviz batch`."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from dvsviz import pipeline
+from dvsviz.cli.arguments import Batch, Track, Tracking
+from dvsviz.cli.console import Interrupts, note, print_fields, print_json, read_recording, sessions_folder
+from dvsviz.config import TrackerConfig
+from dvsviz.errors import ConfigError, DvsvizError, RunCancelled, SessionError
+from dvsviz.evaluate.evaluate import Evaluation
+from dvsviz.evaluate.tables import evaluation_table, figure, table
+from dvsviz.session.store import open_session
+
+_SHOW_EVERY_S = 0.1
+
+
+def track(command: Track) -> int:
+    """Track one recording."""
+    recording = read_recording(command.recording, command)
+    out = command.out or sessions_folder() / f"{recording.name}.h5"
+    if command.resume and command.force:
+        raise ConfigError("--resume continues a session and --force replaces it", hint="say one of them")
+    if command.rerun is not None and command.rerun.exists() and not command.force:
+        raise SessionError("already exists", path=command.rerun, hint="replace it with --force")
+    with Interrupts() as interrupts, _bar(out.stem, interrupts) as show:
+        summary = pipeline.track(
+            recording,
+            _resumed_config(command, out) if command.resume else _config(command),
+            out,
+            force=command.force,
+            resume=command.resume,
+            progress=show,
+            cancel=interrupts.cancel,
+            rerun=command.rerun,
+        )
+    if command.json:
+        print_json(summary)
+    else:
+        _print_summary(summary)
+    return 0
+
+
+def batch(command: Batch) -> int:
+    """Track several recordings; one that fails does not stop the others."""
+    config, folder = _config(command), sessions_folder(command.sessions)
+    runs: list[dict[str, Any]] = []
+    failed: list[dict[str, str]] = []
+    taken: set[Path] = set()
+    for path in command.recordings:
+        try:
+            recording = read_recording(path, command)
+            out = folder / f"{recording.name}.h5"
+            if out in taken:
+                raise SessionError("is the session of another recording of this batch", path=out, hint="rename one")
+            taken.add(out)
+            with Interrupts() as interrupts, _bar(out.stem, interrupts) as show:
+                runs.append(
+                    pipeline.track(
+                        recording, config, out, force=command.force, progress=show, cancel=interrupts.cancel
+                    )
+                )
+        except RunCancelled:
+            raise
+        except DvsvizError as error:
+            note(f"error: {error}")
+            failed.append({"recording": str(path), "error": str(error)})
+    if command.json:
+        print_json({"runs": runs, "failed": failed})
+    elif runs:
+        print(_table(runs))
+    return 2 if failed else 0
+
+
+def _config(command: Tracking) -> TrackerConfig:
+    return TrackerConfig(
+        motion=command.motion or "planar", window=command.window, plane_distance=command.plane_distance
+    )
+
+
+def _resumed_config(command: Track, out: Path) -> TrackerConfig | None:
+    """Return the session's own settings with those that were said; a difference is refused by the pipeline."""
+    with open_session(out) as session:
+        stored = TrackerConfig.from_json(session.header.config_json)
+    return TrackerConfig(
+        motion=command.motion or stored.motion,
+        window=command.window or stored.window,
+        max_window_ms=stored.max_window_ms,
+        plane_distance=command.plane_distance or stored.plane_distance,
+        seed=stored.seed,
+    )
+
+
+@contextmanager
+def _bar(name: str, interrupts: Interrupts) -> Iterator[Callable[[pipeline.Progress], None]]:
+    """Give the progress callback of a run: a bar on a terminal, and the point from which Ctrl-C waits for a window."""
+    if not sys.stderr.isatty():
+        yield lambda progress: interrupts.begin()
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TextColumn("{task.fields[state]}"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(name, total=1.0, state="preparing")
+        shown = 0.0
+
+        def show(progress: pipeline.Progress) -> None:
+            nonlocal shown
+            interrupts.begin()
+            now = time.monotonic()
+            if now - shown < _SHOW_EVERY_S and progress.share < 1:
+                return
+            shown = now
+            state = (
+                f"window {progress.window}  {progress.status}  {progress.events_per_second / 1e6:.2f} Mev/s"
+                f"  {progress.real_time_factor:.2f}x real time"
+            )
+            bar.update(task, completed=progress.share, state=state)
+
+        yield show
+
+
+def _print_summary(summary: dict[str, Any]) -> None:
+    print_fields(
+        {
+            "session": summary["session"],
+            "recording": summary["recording"],
+            "motion": summary["motion"],
+            "windows": f"{summary['windows']:,d}",
+            "tracked": f"{summary['tracked_share']:.1%}, lost {summary['losses']} times",
+            "events": f"{summary['events']:,d} in {summary['duration_s']:.2f} s",
+            "speed": f"{summary['wall_s']:.2f} s, {summary['events_per_second'] / 1e6:.2f} million events per second, "
+            f"real-time factor {summary['real_time_factor']:.2f} (kernels compiled in {summary['compile_s']:.1f} s)",
+        }
+    )
+    if summary["evaluation"] is not None:
+        print(f"\n{evaluation_table(Evaluation(**summary['evaluation']))}")
+
+
+def _table(runs: list[dict[str, Any]]) -> str:
+    """Return one row a run."""
+    columns = (
+        "session",
+        "windows",
+        "tracked",
+        "losses",
+        "position %",
+        "rotation deg",
+        "duration s",
+        "real-time factor",
+    )
+    rows = []
+    for run in runs:
+        found = run["evaluation"] or {}
+        rows.append(
+            {
+                "session": Path(run["session"]).stem,
+                "windows": f"{run['windows']:,d}",
+                "tracked": f"{run['tracked_share']:.1%}",
+                "losses": str(run["losses"]),
+                "position %": figure(found.get("position_rmse_percent_of_distance"), ".2f", ""),
+                "rotation deg": figure(found.get("rotation_rmse_deg"), ".2f", ""),
+                "duration s": f"{run['duration_s']:.1f}",
+                "real-time factor": f"{run['real_time_factor']:.2f}",
+            }
+        )
+    return table(columns, rows)

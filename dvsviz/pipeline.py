@@ -1,0 +1,302 @@
+"""The composition root: a recording is tracked, and what comes out is appended to a session."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvsviz import __version__
+from dvsviz.config import TrackerConfig
+from dvsviz.errors import ConfigError, EvaluationError, RunCancelled, SessionError
+from dvsviz.evaluate.evaluate import evaluate
+from dvsviz.events.recording import Recording
+from dvsviz.events.windows import windows
+from dvsviz.session.recognise import is_session
+from dvsviz.session.records import STATUSES, LogEntry, Status, WindowResult
+from dvsviz.session.store import Session, SessionHeader, SessionWriter, open_session
+from dvsviz.tracking.tracker import Tracker
+from dvsviz.tracking.warm_up import warm_up
+
+CHECKPOINT_US = 5_000_000
+"""A checkpoint at each keyframe and at least this often in recording time."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Progress:
+    """How far a run is, told after each window.
+
+    Attributes:
+        window: number of the window just tracked.
+        status: its status.
+        share: events done by events of the recording, 0 to 1.
+        events_per_second: events tracked by wall second, of this run.
+        real_time_factor: recording seconds by wall second, of this run.
+        recording_s: seconds of the recording that are done.
+    """
+
+    window: int
+    status: Status
+    share: float
+    events_per_second: float
+    real_time_factor: float
+    recording_s: float
+
+
+def track(
+    recording: Recording,
+    config: TrackerConfig | None,
+    out: Path,
+    *,
+    force: bool = False,
+    resume: bool = False,
+    progress: Callable[[Progress], None] | None = None,
+    cancel: threading.Event | None = None,
+    rerun: Path | None = None,
+) -> dict[str, Any]:
+    """Track a recording into a session and return the run's summary, the object of `dvsviz track --json`.
+
+    Args:
+        recording: what is tracked.
+        config: settings; None takes the defaults, or with `resume` those of the session.
+        out: the session's file.
+        force: replace a session that is there.
+        resume: continue an interrupted session from its last checkpoint; windows after it are tracked again.
+        progress: called after each window, in the thread that tracks; it may wait (to pause) but not raise.
+        cancel: when set, the run stops after the current window and leaves an incomplete session.
+        rerun: a rerun recording that is written besides.
+
+    Raises:
+        RunCancelled: `cancel` was set; what was tracked is in the session.
+        SessionError: the session exists, cannot be written, or is not one of this recording.
+        ConfigError: `config` differs from the session that is resumed.
+        FormatError: the recording turned out to be damaged.
+    """
+    if recording.events.count == 0:
+        raise SessionError("no events to track", path=recording.path, hint="check the recording with `dvsviz info`")
+    _check_target(recording, out, force=force)
+    if resume:
+        run = _Run.resumed(recording, config, out)
+    else:
+        run = _Run.started(recording, config or TrackerConfig(), out, force=force)
+    run.follow(progress, cancel, rerun)
+    return run.end()
+
+
+def summarize(status: NDArray[np.uint8]) -> dict[str, Any]:
+    """Return `windows`, `tracked_share` and `losses` of windows' statuses (N,), indices into `records.STATUSES`.
+
+    The share is of all windows after initialization, tracking or weak; a loss is a window that is lost or
+    relocalizing after one that was neither.
+    """
+
+    def among(*names: Status) -> NDArray[np.bool_]:
+        return np.isin(status, [STATUSES.index(name) for name in names])
+
+    after = ~among(Status.INITIALIZING)
+    lost = among(Status.LOST, Status.RELOCALIZING)
+    began = lost & ~np.concatenate([[False], lost[:-1]]) if len(lost) else lost
+    share = float(among(Status.TRACKING, Status.WEAK)[after].mean()) if after.any() else 0.0
+    return {"windows": len(status), "tracked_share": share, "losses": int(began.sum())}
+
+
+def evaluation_of(session: Session) -> dict[str, Any] | None:
+    """Return the session's evaluation, or None without ground truth or where too little of it was tracked."""
+    if session.ground_truth is None:
+        return None
+    try:
+        return evaluate(session).to_dict()
+    except EvaluationError:  # every window lost, or a truth of another time: there is no figure to give
+        return None
+
+
+class _Run:
+    """One run: the tracker, the writer, the clock."""
+
+    def __init__(
+        self, recording: Recording, config: TrackerConfig, writer: SessionWriter, tracker: Tracker, first_event: int
+    ) -> None:
+        self._recording, self._config, self._writer, self._tracker = recording, config, writer, tracker
+        self._first_event, self._end_event = first_event, first_event
+        self._first_us = int(recording.events.read(first_event, first_event + 1).t_us[0])
+        self._last_us = self._first_us
+        self._checkpoint_us = self._first_us
+        self._compile_s = 0.0
+        self._started = 0.0
+
+    @classmethod
+    def started(cls, recording: Recording, config: TrackerConfig, out: Path, *, force: bool) -> _Run:
+        """Return a run from the recording's first event."""
+        compile_s = warm_up(config)
+        writer = SessionWriter.create(out, _header(recording, config), force=force)
+        run = cls(recording, config, writer, Tracker(recording.camera, config), 0)
+        run._compile_s = compile_s
+        try:
+            if recording.ground_truth is not None and len(recording.ground_truth):
+                writer.set_ground_truth(recording.ground_truth)
+            for warning in recording.warnings:
+                writer.note(LogEntry(window=0, level="warning", text=warning))
+        except BaseException:
+            writer.abandon()
+            raise
+        return run
+
+    @classmethod
+    def resumed(cls, recording: Recording, config: TrackerConfig | None, out: Path) -> _Run:
+        """Return a run that continues after the last checkpoint of a session."""
+        with open_session(out) as session:
+            _check_same(recording, session)
+            header = session.header
+            stored = TrackerConfig.from_json(header.config_json)
+            if config is not None and config != stored:
+                raise ConfigError(
+                    f"settings differ from those of {out}: {_difference(config, stored)}",
+                    hint="resume without settings, or start again with --force",
+                )
+            # The calibration of the first part holds for the rest.
+            recording = replace(recording, camera=header.camera)
+            found = session.checkpoint_at(session.window_count - 1)
+            first_event = session.result(found[0]).end_event if found else 0
+        compile_s = warm_up(stored)
+        writer = SessionWriter.resume(out, windows=found[0] + 1 if found else 0)
+        try:
+            tracker = Tracker(recording.camera, stored)
+            if found:
+                tracker = Tracker.restore(recording.camera, stored, found[1], recording.events)
+            run = cls(recording, stored, writer, tracker, min(first_event, recording.events.count - 1))
+        except BaseException:
+            writer.abandon()
+            raise
+        run._compile_s = compile_s
+        run._first_event = run._end_event = first_event
+        return run
+
+    def follow(
+        self, progress: Callable[[Progress], None] | None, cancel: threading.Event | None, rerun: Path | None
+    ) -> None:
+        """Track to the recording's end; whatever ends it before leaves the session incomplete and readable."""
+        logger = None
+        try:
+            self._started = time.perf_counter()
+            for window in windows(
+                self._recording,
+                lambda: self._tracker.window_size,
+                max_duration_us=round(self._config.max_window_ms * 1000),
+                first_event=self._first_event,
+                index=self._writer.window_count,
+            ):
+                result = self._tracker.step(window)
+                updates = self._tracker.take_updates()
+                self._writer.append(result, updates)
+                self._end_event, self._last_us = result.end_event, result.end_us
+                if logger is not None:
+                    logger.log(result, updates, window)
+                stopped = cancel is not None and cancel.is_set()
+                if stopped or result.keyframe >= 0 or result.end_us - self._checkpoint_us >= CHECKPOINT_US:
+                    self._checkpoint_us = result.end_us
+                    self._writer.checkpoint(result.window, self._tracker.checkpoint())
+                if progress is not None:
+                    progress(self._progress(result))
+                if stopped:
+                    raise RunCancelled(
+                        f"stopped after window {result.window}",
+                        path=self._writer.path,
+                        hint="continue with --resume",
+                    )
+            self._writer.add(self._tracker.finish())
+            if logger is not None:
+                logger.close()
+        except BaseException:
+            if logger is not None:
+                logger.abandon()
+            self._writer.abandon()
+            raise
+
+    def end(self) -> dict[str, Any]:
+        """Evaluate, close the session as complete and return the summary."""
+        try:
+            self._writer.flush()
+            with open_session(self._writer.path) as session:
+                figures = summarize(session.column("status"))
+                evaluation = evaluation_of(session)
+            wall_s = max(time.perf_counter() - self._started, 1e-9)
+            summary = {
+                "session": str(self._writer.path),
+                "recording": str(self._recording.path),
+                "motion": self._config.motion,
+                **figures,
+                "events": self._recording.events.count,
+                "duration_s": self._recording.duration_s,
+                "wall_s": wall_s,
+                "events_per_second": (self._end_event - self._first_event) / wall_s,
+                "real_time_factor": (self._last_us - self._first_us) * 1e-6 / wall_s,
+                "compile_s": self._compile_s,
+                "evaluation": evaluation,
+            }
+        except BaseException:
+            self._writer.abandon()
+            raise
+        self._writer.close(summary)
+        return summary
+
+    def _progress(self, result: WindowResult) -> Progress:
+        wall_s = max(time.perf_counter() - self._started, 1e-9)
+        return Progress(
+            window=result.window,
+            status=result.status,
+            share=result.end_event / self._recording.events.count,
+            events_per_second=(result.end_event - self._first_event) / wall_s,
+            real_time_factor=(result.end_us - self._first_us) * 1e-6 / wall_s,
+            recording_s=(result.end_us - self._recording.first_us) * 1e-6,
+        )
+
+
+def _header(recording: Recording, config: TrackerConfig) -> SessionHeader:
+    return SessionHeader(
+        recording_path=str(recording.path.absolute()),
+        recording_name=recording.name,
+        recording_format=recording.format,
+        events=recording.events.count,
+        first_us=recording.first_us,
+        last_us=recording.last_us,
+        camera=recording.camera,
+        config_json=config.to_json(),
+        program_version=__version__,
+        seed=config.seed,
+        created=datetime.now().astimezone().isoformat(timespec="seconds"),
+        mean_plane_distance=recording.mean_plane_distance,
+        plane_normal_world=recording.plane_normal_world,
+        plane_distance_world=recording.plane_distance_world,
+    )
+
+
+def _check_target(recording: Recording, out: Path, *, force: bool) -> None:
+    if not out.exists():
+        return
+    if recording.path.exists() and out.samefile(recording.path):
+        raise SessionError("is the recording itself", path=out, hint="name another file with --out")
+    if force and not is_session(out):
+        raise SessionError("is not a session and is not replaced", path=out, hint="name another file with --out")
+
+
+def _check_same(recording: Recording, session: Session) -> None:
+    header = session.header
+    found = (recording.events.count, recording.first_us, recording.last_us)
+    if found != (header.events, header.first_us, header.last_us):
+        raise SessionError(
+            f"is a session of {header.recording_path} with {header.events} events, not of {recording.path}",
+            path=session.path,
+            hint="resume it with its own recording",
+        )
+
+
+def _difference(config: TrackerConfig, stored: TrackerConfig) -> str:
+    a, b = asdict(config), asdict(stored)
+    return ", ".join(f"{key} {a[key]} instead of {b[key]}" for key in a if a[key] != b[key])
