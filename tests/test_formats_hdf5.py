@@ -190,3 +190,12 @@ def test_no_file_no_hdf5_no_events(tmp_path: Path) -> None:
         pass
     with pytest.raises(FormatError, match="there are no events"):
         read_recording(tmp_path / "empty.h5")
+
+
+def test_the_example_of_the_document_is_a_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = (Path(__file__).parents[1] / "docs/recording-format.md").read_text(encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    exec(text.split("```python")[1].split("```")[0], {})
+    recording = read_recording(tmp_path / "recording.h5")
+    np.testing.assert_array_equal(recording.events.read(0, 9).x_px, [5, 6, 7])
+    assert recording.events.index_at(12) == 1

@@ -1,7 +1,7 @@
 """Parsing of text events, `t x y p` a line, from bytes: exact integer microseconds, no float on the way.
 
-Measured on 1,078,541 lines of slider_depth: 0.05 s warm (20 million events/s), against 0.5 s for the csv reader of
-polars, which rounds times through floats.
+Measured on 1,078,541 lines of slider_depth: 2 million events/s on one busy core. The csv reader of polars is as fast
+with two, but rounds times through floats and tells no line numbers.
 """
 
 from __future__ import annotations
