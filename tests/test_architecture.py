@@ -50,7 +50,7 @@ HOMES = {
     "rerun": {"export"},
     "h5py": {"session", "formats"},
     "tyro": {"cli"},
-    "rich": {"cli"},
+    "rich": {"app", "cli"},
 }
 
 

@@ -1,0 +1,272 @@
+"""The sessions there are, by name. A name that a browser sends is looked up here, never made part of a path."""
+
+from __future__ import annotations
+
+import json
+import logging
+import threading
+from collections import OrderedDict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvsviz.errors import DvsvizError, SessionError
+from dvsviz.events.recording import Recording
+from dvsviz.formats.open import open_recording
+from dvsviz.gateway.runs import Run, Runs, RunState
+from dvsviz.pipeline import summarize
+from dvsviz.session.records import STATUSES, Status
+from dvsviz.session.store import Session, open_session
+from dvsviz.view.shown import ShownSession, check_recording
+
+_log = logging.getLogger(__name__)
+
+_KEPT_OPEN = 6
+_SPARKS = 64
+# A stretch of the sparkline shows its worst state.
+_BADNESS = np.array(
+    [
+        [Status.INITIALIZING, Status.TRACKING, Status.WEAK, Status.RELOCALIZING, Status.LOST].index(s)
+        for s in STATUSES
+    ]
+)
+
+
+class Library:
+    """Session files of one folder and single files beside it, opened when they are looked at.
+
+    Args:
+        sessions_dir: every session file in it is listed.
+        runs: sessions that are being made.
+    """
+
+    def __init__(self, sessions_dir: Path, runs: Runs) -> None:
+        self._folder, self._runs = sessions_dir, runs
+        self._lock = threading.RLock()
+        self._single: dict[str, Path] = {}
+        self._paths: dict[str, Path] = {}
+        self._entries: dict[Path, tuple[tuple[int, int, bool], dict[str, Any] | None]] = {}
+        self._open: OrderedDict[str, ShownSession] = OrderedDict()
+        self._opening: dict[str, threading.Lock] = {}
+        self._recordings: list[Path] = []
+        self.scan()
+
+    def add_session(self, path: Path) -> str:
+        """List a session file that lies somewhere else and return the name it got."""
+        with self._lock:
+            inside = path.resolve().parent == self._folder.resolve()
+            name = path.stem
+            number = 2
+            while not inside and (name in self._single or (self._folder / f"{name}.h5").exists()):
+                name, number = f"{path.stem}-{number}", number + 1
+            if not inside:
+                self._single[name] = path
+            self.scan()
+            return name
+
+    def add_recording(self, path: Path) -> None:
+        """Remember where a recording lies; sessions that were made of it elsewhere find it there."""
+        self._recordings.append(path)
+
+    def scan(self) -> None:
+        """Look which files there are."""
+        found = {path.stem: path for path in sorted(self._folder.glob("*.h5"))} if self._folder.is_dir() else {}
+        with self._lock:
+            self._paths = found | {name: path for name, path in self._single.items() if path.exists()}
+
+    def entries(self) -> list[dict[str, Any]]:
+        """Return what the list of sessions shows, newest first; files that are no sessions are left out."""
+        with self._lock:
+            paths = dict(self._paths)
+        entries = [entry for name, path in paths.items() if (entry := self._entry(name, path)) is not None]
+        known = {entry["name"] for entry in entries}
+        waiting = [_queued(run) for run in self._runs.queued() if run.order.name not in known]
+        return waiting + sorted(entries, key=lambda entry: entry["created"], reverse=True)
+
+    def open(self, name: str) -> ShownSession:
+        """Return a session by its name; opened the first time.
+
+        Raises:
+            KeyError: there is no session of that name.
+            SessionError: the file is damaged.
+        """
+        with self._lock:
+            path = self._paths.get(name)
+            if path is None:
+                self.scan()
+                path = self._paths[name]
+            guard = self._opening.setdefault(name, threading.Lock())
+        with guard:
+            with self._lock:
+                shown = self._open.get(name)
+                if shown is not None:
+                    self._open.move_to_end(name)
+                    return shown
+            shown = self._opened(name, path)
+            with self._lock:
+                self._open[name] = shown
+                while len(self._open) > _KEPT_OPEN:
+                    self._open.popitem(last=False)
+            return shown
+
+    def opened(self, name: str) -> ShownSession | None:
+        """Return a session that is open, without waiting, or None."""
+        return self._open.get(name)
+
+    def all_open(self) -> list[ShownSession]:
+        """Return the sessions that are open."""
+        with self._lock:
+            return list(self._open.values())
+
+    def state(self, session: Session) -> str:
+        """Return `complete`, `live` or `incomplete`."""
+        return "complete" if session.complete else "live" if session.is_live else "incomplete"
+
+    def progress(self, shown: ShownSession) -> dict[str, float | None]:
+        """Return how far a growing session is: what its run tells, or what is stored where another program writes."""
+        run = self._runs.get(shown.name)
+        told: dict[str, float | None] = dict.fromkeys(("share", "events_per_second", "lag_s", "real_time_factor"))
+        events = shown.session.header.events
+        if events and shown.window_count:
+            told["share"] = min(1.0, int(shown.session.column("end_event")[-1]) / events)
+        return told | run.progress if run is not None and run.is_active else told
+
+    def describe(self, shown: ShownSession) -> dict[str, Any]:
+        """Return what the page needs to know about an open session, once."""
+        session = shown.session
+        header = session.header
+        return {
+            "name": shown.name,
+            "recording": header.recording_name,
+            "format": header.recording_format,
+            "windows": session.window_count,
+            "state": self.state(session),
+            "t0_us": header.first_us,
+            "duration_s": header.duration_s,
+            "events": header.events,
+            "width": header.camera.width,
+            "height": header.camera.height,
+            "camera": {
+                name: getattr(header.camera, name) for name in ("fx", "fy", "cx", "cy", "distortion", "is_guess")
+            },
+            "statuses": [str(status) for status in STATUSES],
+            "keyframes": [{"keyframe": k.keyframe, "window": k.window} for k in shown.keyframes],
+            "failures": [
+                {"cause": str(f.cause), "start": f.start, "end": f.end, "worst": f.worst, "message": f.message}
+                for f in session.failures
+            ],
+            "log": [{"window": e.window, "level": e.level, "text": e.text} for e in session.log],
+            "bookmarks": [{"bookmark": b.bookmark, "window": b.window, "text": b.text} for b in session.bookmarks],
+            "tags": list(session.tags),
+            "map_revisions": [
+                {"revision": m.revision, "window": m.window, "width": m.columns, "height": m.rows}
+                for m in session.map_revisions
+            ],
+            "ground_truth": shown.has_truth,
+            "recording_found": shown.recording is not None,
+            "recording_path": header.recording_path,
+            "recording_note": shown.missing,
+            "config": json.loads(header.config_json),
+            "seed": header.seed,
+            "created": header.created,
+            "program_version": header.program_version,
+            "summary": session.summary,
+            "evaluation": (session.summary or {}).get("evaluation"),
+            "progress": self.progress(shown),
+        }
+
+    def _opened(self, name: str, path: Path) -> ShownSession:
+        session = open_session(path)
+        recording, missing = self._recording_of(session)
+        return ShownSession(session, recording, missing, name=name)
+
+    def _recording_of(self, session: Session) -> tuple[Recording | None, str]:
+        """Return a session's recording, or None and why."""
+        header = session.header
+        stored = Path(header.recording_path)
+        near = [session.path.parent / stored.name, *(p for p in self._recordings if p.name == stored.name)]
+        why = f"the recording is not there any more (it was {stored}): images need its events"
+        for path in dict.fromkeys([stored, *near]):
+            if not path.exists() or path.resolve() == session.path.resolve():
+                continue
+            for repair in (False, True):  # a recording that was repaired for tracking is repaired again
+                try:
+                    recording = open_recording(
+                        path, size=(header.camera.width, header.camera.height), repair=repair
+                    )
+                    check_recording(session, recording)
+                except (DvsvizError, OSError) as error:
+                    why = str(error)
+                else:
+                    return recording, ""
+        return None, why
+
+    def _entry(self, name: str, path: Path) -> dict[str, Any] | None:
+        try:
+            stat = path.stat()
+            run = self._runs.get(name)
+            mark = (stat.st_mtime_ns, stat.st_size, run is not None and run.is_active)
+            known = self._entries.get(path)
+            # A session whose writer was killed does not change its file when it stops being live.
+            if known is not None and known[0] == mark and (known[1] is None or known[1]["state"] != "live"):
+                return known[1]
+            entry = self._read_entry(name, path)
+        except OSError:
+            return None  # the file went away between listing and reading
+        except SessionError as error:
+            _log.info("not listed: %s", error)
+            entry = None
+        self._entries[path] = (mark, entry)
+        return entry
+
+    def _read_entry(self, name: str, path: Path) -> dict[str, Any]:
+        session = open_session(path)
+        header, status = session.header, session.column("status")
+        figures = summarize(status)
+        return {
+            "name": name,
+            "recording": header.recording_name,
+            "format": header.recording_format,
+            "width": header.camera.width,
+            "height": header.camera.height,
+            "duration_s": header.duration_s,
+            "events": header.events,
+            "windows": session.window_count,
+            "tracked_share": figures["tracked_share"],
+            "losses": figures["losses"],
+            "state": self.state(session),
+            "sparkline": sparkline(status),
+            "has_ground_truth": session.ground_truth is not None,
+            "created": header.created,
+        }
+
+
+def sparkline(status: NDArray[np.uint8]) -> list[int]:
+    """Return up to 64 numbers of `STATUSES`: the worst of each stretch of windows."""
+    if len(status) == 0:
+        return []
+    starts = np.unique(np.linspace(0, len(status), _SPARKS, endpoint=False).astype(np.int64))
+    worst = np.maximum.reduceat(_BADNESS[status], starts)
+    return [int(number) for number in np.argsort(_BADNESS)[worst]]
+
+
+def _queued(run: Run) -> dict[str, Any]:
+    order = run.order
+    return {
+        "name": order.name,
+        "recording": order.recording.stem,
+        "format": "",
+        "width": 0,
+        "height": 0,
+        "duration_s": 0.0,
+        "events": 0,
+        "windows": 0,
+        "tracked_share": None,
+        "losses": 0,
+        "state": str(RunState.QUEUED),
+        "sparkline": [],
+        "has_ground_truth": False,
+        "created": "",
+    }

@@ -1,0 +1,185 @@
+"""The addresses of `docs/dashboard-protocol.md`."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import FileResponse, JSONResponse, RedirectResponse, Response
+from starlette.routing import Mount, Route, WebSocketRoute
+from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp
+from starlette.websockets import WebSocket
+
+from dvsviz.errors import DvsvizError
+from dvsviz.gateway.exports import FORMATS, Exports
+from dvsviz.gateway.library import Library
+from dvsviz.gateway.messages import pack_columns
+from dvsviz.gateway.proxy import SceneProxy
+from dvsviz.gateway.runs import Runs
+from dvsviz.gateway.security import Guard, Keys
+from dvsviz.gateway.tabs import TAKEN, Tabs
+from dvsviz.gateway.watch import Watch
+from dvsviz.view.shown import ShownSession
+
+_ACTIONS = ("pause", "resume", "cancel")
+
+
+class Routes:
+    """Answers the page's calls."""
+
+    def __init__(
+        self, *, keys: Keys, library: Library, runs: Runs, tabs: Tabs, watch: Watch, exports: Exports, static: Path
+    ) -> None:
+        self._keys, self._library, self._runs = keys, library, runs
+        self._tabs, self._watch, self._exports, self._static = tabs, watch, exports, static
+        self._proxy = SceneProxy()
+
+    def app(self, host: str) -> ASGIApp:
+        """Return the whole application, guarded.
+
+        Args:
+            host: the name the server listens at.
+        """
+        api = {
+            "/api/login": (self.login, "POST"),
+            "/api/sessions": (self.sessions, "GET"),
+            "/api/sessions/{name}": (self.session, "GET"),
+            "/api/sessions/{name}/columns": (self.columns, "GET"),
+            "/api/sessions/{name}/export": (self.export, "POST"),
+            "/api/exports/{number}": (self.exported, "GET"),
+            "/api/runs/{name}": (self.run, "POST"),
+        }
+        routes = [
+            Route("/", self.page),
+            Route("/favicon.ico", lambda _: RedirectResponse("/static/icon.svg")),
+            *(Route(path, _answered(call), methods=[method]) for path, (call, method) in api.items()),
+            WebSocketRoute("/ws", self.tab),
+            WebSocketRoute("/viser/{tab}/{path:path}", self.scene_socket),
+            Route("/viser/{tab}/{path:path}", _answered(self.scene)),
+            Mount("/static", StaticFiles(directory=self._static)),
+        ]
+        return Guard(Starlette(routes=routes, lifespan=self._lifespan), self._keys, host)
+
+    @asynccontextmanager
+    async def _lifespan(self, _: Starlette) -> AsyncIterator[None]:
+        yield
+        await self._proxy.close()
+
+    async def page(self, request: Request) -> Response:
+        """Return the front page."""
+        return FileResponse(self._static / "index.html", headers={"Cache-Control": "no-cache"})
+
+    async def login(self, request: Request) -> Response:
+        """Change the token for the cookie."""
+        if not self._keys.opens((await _body(request)).get("token")):
+            return JSONResponse({"error": "this is not the token that the server printed"}, status_code=403)
+        return Response(status_code=204, headers={"Set-Cookie": self._keys.cookie_header()})
+
+    async def sessions(self, request: Request) -> Response:
+        """Return the list of sessions."""
+        return JSONResponse(self._watch.list)
+
+    async def session(self, request: Request) -> Response:
+        """Return what the page needs to know about one session."""
+        shown = await self._shown(request)
+        described = await asyncio.to_thread(self._library.describe, shown)
+        tab = request.query_params.get("tab", "")
+        return JSONResponse(described | {"viser": f"/viser/{tab}/" if tab else None})
+
+    async def columns(self, request: Request) -> Response:
+        """Return the curves of the windows from `start` on."""
+        shown = await self._shown(request)
+        start = min(max(0, int(request.query_params.get("start", "0"))), shown.window_count)
+        data = await asyncio.to_thread(lambda: pack_columns(start, shown.plotted(start)))
+        return Response(data, media_type="application/octet-stream")
+
+    async def export(self, request: Request) -> Response:
+        """Begin an export."""
+        shown, to = await self._shown(request), (await _body(request)).get("to")
+        if to not in FORMATS:
+            raise ValueError(f"to: expected one of {', '.join(FORMATS)}")
+
+        def tell(message: dict[str, Any]) -> None:
+            for tab in self._tabs.all():
+                tab.tell(message, f"export {message['id']}")
+
+        return JSONResponse({"id": self._exports.start(shown, to, tell)})
+
+    async def exported(self, request: Request) -> Response:
+        """Return the file of a finished export."""
+        export = self._exports.get(request.path_params["number"])
+        if export is None:
+            raise KeyError("there is no such export; make it again")
+        return FileResponse(export.path, filename=export.name, media_type="application/octet-stream")
+
+    async def run(self, request: Request) -> Response:
+        """Pause, resume or cancel a run."""
+        action = (await _body(request)).get("action")
+        if action not in _ACTIONS:
+            raise ValueError(f"action: expected one of {', '.join(_ACTIONS)}")
+        self._runs.act(request.path_params["name"], action)
+        return Response(status_code=204)
+
+    async def tab(self, socket: WebSocket) -> None:
+        """Talk with a tab's page."""
+        try:
+            tab = await asyncio.to_thread(self._tabs.get, socket.query_params.get("tab", ""))
+        except (KeyError, DvsvizError) as error:
+            await socket.close(1008, str(error)[:100])
+            return
+        if tab.is_connected:
+            await socket.accept()
+            await socket.close(TAKEN, "another page has this name")
+            return
+        await tab.serve(socket, {"type": "sessions", "sessions": self._watch.list})
+
+    async def scene(self, request: Request) -> Response:
+        """Return a file of the 3-D scene's client."""
+        tab = await asyncio.to_thread(self._tabs.get, request.path_params["tab"])
+        return await self._proxy.http(request, tab.scene, request.path_params["path"])
+
+    async def scene_socket(self, socket: WebSocket) -> None:
+        """Join the 3-D scene's client with its server."""
+        try:
+            tab = await asyncio.to_thread(self._tabs.get, socket.path_params["tab"])
+        except (KeyError, DvsvizError) as error:
+            await socket.close(1008, str(error)[:100])
+            return
+        await self._proxy.websocket(socket, tab.scene)
+
+    async def _shown(self, request: Request) -> ShownSession:
+        name = request.path_params["name"]
+        try:
+            return await asyncio.to_thread(self._library.open, name)
+        except KeyError:
+            raise KeyError("there is no session of this name") from None
+
+
+def _answered(call: Callable[[Request], Awaitable[Response]]) -> Callable[[Request], Awaitable[Response]]:
+    """Turn the errors of a call into answers that the page can show."""
+
+    async def answered(request: Request) -> Response:
+        try:
+            return await call(request)
+        except KeyError as error:
+            return JSONResponse({"error": str(error.args[0])}, status_code=404)
+        except ValueError as error:
+            return JSONResponse({"error": str(error)}, status_code=400)
+        except DvsvizError as error:
+            return JSONResponse({"error": str(error)}, status_code=409)
+
+    return answered
+
+
+async def _body(request: Request) -> dict[str, Any]:
+    body = json.loads(await request.body())
+    if not isinstance(body, dict):
+        raise ValueError("expected a JSON object")
+    return body

@@ -1,0 +1,247 @@
+"""Browser tabs: each has its own playhead, renderer and 3-D scene."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import re
+import threading
+import time
+from concurrent.futures import CancelledError, Future
+from typing import Any
+
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from dvsviz.errors import DvsvizError
+from dvsviz.gateway.library import Library
+from dvsviz.gateway.messages import pack_images
+from dvsviz.view.cache import ImageCache
+from dvsviz.view.images import ImageOptions
+from dvsviz.view.playback import Drawn, Renderer, Seek
+from dvsviz.view.scene import TabScene
+from dvsviz.view.shown import ImageKind, ShownSession
+
+_log = logging.getLogger(__name__)
+
+TAB_NAME = re.compile(r"[0-9a-f]{16}")
+TAKEN = 4409
+_MAX_TABS = 32
+# A reload comes back to its scene; a tab that was closed does not.
+_SCENE_KEPT_S = 30.0
+_SEND_TIMEOUT_S = 10.0
+_MAX_MESSAGE = 16 * 1024
+
+
+class Tab:
+    """One browser tab: what it shows and how it is told."""
+
+    def __init__(self, name: str, library: Library, cache: ImageCache) -> None:
+        self.name = name
+        self.shown: ShownSession | None = None
+        self.scene = TabScene(self._go_to)
+        self.gone_s = time.monotonic()
+        self._library, self._cache = library, cache
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._renderer: Renderer | None = None
+        # What waits to be sent, by slot: a newer message takes the place of one that was not sent.
+        self._slots: dict[str, str | bytes] = {}
+        self._sent: dict[str, Future[None]] = {}
+        self._wake = asyncio.Event()
+        self._slots_lock = threading.Lock()
+
+    @property
+    def is_connected(self) -> bool:
+        """True while a page holds the websocket."""
+        return self._renderer is not None
+
+    def tell(self, message: dict[str, Any], slot: str) -> None:
+        """Send a message, in place of one of the same slot that still waits; from any thread."""
+        self._put(slot, json.dumps(message))
+
+    async def serve(self, socket: WebSocket, hello: dict[str, Any]) -> None:
+        """Talk with the page until it goes; `hello` is the first message."""
+        self._loop, self._wake = asyncio.get_running_loop(), asyncio.Event()
+        # Before the first await: from here on a second page of this name is refused.
+        self._renderer = Renderer(f"tab {self.name}", self._cache, self._send_images, self._fail, self.scene)
+        self._renderer.start()
+        self.tell(hello, "sessions")
+        sender: asyncio.Task[None] | None = None
+        try:
+            await socket.accept()
+            sender = asyncio.create_task(self._send(socket))
+            while True:
+                await self._receive(await socket.receive_text())
+        except (WebSocketDisconnect, KeyError):
+            pass  # closed, or binary where text was expected
+        finally:
+            renderer, self._renderer = self._renderer, None
+            renderer.mailbox.close()
+            if sender is not None:
+                sender.cancel()
+            with self._slots_lock:
+                self._slots.clear()
+                waiting = list(self._sent.values())
+                self._sent.clear()
+            for future in waiting:
+                future.cancel()
+            self.gone_s = time.monotonic()
+
+    def stop(self) -> None:
+        """Stop renderer and scene."""
+        if (renderer := self._renderer) is not None:
+            renderer.mailbox.close()
+        self.scene.stop()
+
+    async def _receive(self, text: str) -> None:
+        """Obey one message; what makes no sense is answered with an error."""
+        try:
+            if len(text) > _MAX_MESSAGE:
+                raise ValueError("too long")
+            message = json.loads(text)
+            kind = message["type"]
+            if kind == "seek":
+                await self._seek(message)
+            elif kind == "open":
+                await self._open(str(message["session"]))
+            elif kind == "layers":
+                layers = {str(name): on is True for name, on in message["layers"].items()}
+                await asyncio.to_thread(self.scene.set_layers, layers)
+            else:
+                raise ValueError(f"type {kind!r} is not known")
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            self._fail(f"the page sent a message that makes no sense: {error!r}")
+        except DvsvizError as error:
+            self._fail(str(error))
+
+    async def _open(self, name: str) -> ShownSession:
+        shown = self._library.opened(name)
+        if shown is None:
+            try:
+                shown = await asyncio.to_thread(self._library.open, name)
+            except KeyError:
+                raise DvsvizError(f"there is no session {name!r}", hint="choose one of the list") from None
+        if self.shown is not shown:
+            self.shown = shown
+            await asyncio.to_thread(self.scene.open, shown)
+        return shown
+
+    async def _seek(self, message: dict[str, Any]) -> None:
+        shown = await self._open(str(message["session"]))
+        if shown.window_count == 0 or self._renderer is None:
+            return
+        options = message.get("options") or {}
+        seek = Seek(
+            shown=shown,
+            window=min(max(0, int(message["window"])), shown.window_count - 1),
+            request=int(message["request"]),
+            kinds=tuple(dict.fromkeys(ImageKind(kind) for kind in message["kinds"])),
+            options=ImageOptions(
+                polarity=options.get("polarity", True) is True,
+                scale=min(max(1, int(options.get("scale", 1))), 4),
+            ),
+        )
+        self._renderer.mailbox.put(seek)
+
+    def _send_images(self, drawn: Drawn) -> None:
+        """Send images and wait until they are handed to the network; from the renderer's thread."""
+        future = self._put("images", pack_images(drawn))
+        try:
+            future.result(_SEND_TIMEOUT_S)
+        except (TimeoutError, CancelledError):
+            return  # a page that takes nothing, or that is gone
+
+    def _fail(self, text: str) -> None:
+        self.tell({"type": "error", "text": text}, "error")
+
+    def _go_to(self, window: int) -> None:
+        if self.shown is not None:
+            self.tell({"type": "goto", "session": self.shown.name, "window": window}, "goto")
+
+    def _put(self, slot: str, data: str | bytes) -> Future[None]:
+        future: Future[None] = Future()
+        loop = self._loop
+        if loop is None or not self.is_connected:
+            future.cancel()
+            return future
+        with self._slots_lock:
+            self._slots[slot] = data
+            old = self._sent.pop(slot, None)
+            self._sent[slot] = future
+        if old is not None:
+            old.cancel()
+        try:
+            loop.call_soon_threadsafe(self._wake.set)
+        except RuntimeError:
+            future.cancel()  # the server stops
+        return future
+
+    async def _send(self, socket: WebSocket) -> None:
+        while True:
+            await self._wake.wait()
+            self._wake.clear()
+            while True:
+                with self._slots_lock:
+                    if not self._slots:
+                        break
+                    # Images first: somebody waits for them.
+                    slot = "images" if "images" in self._slots else next(iter(self._slots))
+                    data, future = self._slots.pop(slot), self._sent.pop(slot)
+                try:
+                    await (socket.send_bytes(data) if isinstance(data, bytes) else socket.send_text(data))
+                except (WebSocketDisconnect, RuntimeError):
+                    future.cancel()
+                    return  # the page is gone: `serve` learns it too
+                if not future.cancelled():
+                    future.set_result(None)
+
+
+class Tabs:
+    """All tabs of a server, by their names."""
+
+    def __init__(self, library: Library, cache: ImageCache) -> None:
+        self._library, self._cache = library, cache
+        self._tabs: dict[str, Tab] = {}
+        self._lock = threading.Lock()
+
+    def get(self, name: str) -> Tab:
+        """Return a tab, made the first time it is asked for; blocks for some milliseconds then.
+
+        Raises:
+            KeyError: the name is not 16 hex digits.
+            DvsvizError: too many tabs are open.
+        """
+        if not TAB_NAME.fullmatch(name):
+            raise KeyError(name)
+        with self._lock:
+            tab = self._tabs.get(name)
+            if tab is None:
+                self._drop(0.0 if len(self._tabs) >= _MAX_TABS else _SCENE_KEPT_S)
+                if len(self._tabs) >= _MAX_TABS:
+                    raise DvsvizError(f"{_MAX_TABS} tabs are open", hint="close one")
+                tab = self._tabs[name] = Tab(name, self._library, self._cache)
+            return tab
+
+    def all(self) -> list[Tab]:
+        """Return the tabs whose page is there."""
+        with self._lock:
+            return [tab for tab in self._tabs.values() if tab.is_connected]
+
+    def tidy(self) -> None:
+        """Stop the scenes of tabs that were closed."""
+        with self._lock:
+            self._drop(_SCENE_KEPT_S)
+
+    def close(self) -> None:
+        """Stop all scenes."""
+        with self._lock:
+            for tab in self._tabs.values():
+                tab.stop()
+            self._tabs.clear()
+
+    def _drop(self, older_s: float) -> None:
+        now = time.monotonic()
+        gone = [tab for tab in self._tabs.values() if not tab.is_connected and now - tab.gone_s > older_s]
+        for tab in gone:
+            del self._tabs[tab.name]
+            tab.stop()
