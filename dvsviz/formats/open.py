@@ -11,6 +11,7 @@ import h5py
 
 from dvsviz.errors import FormatError
 from dvsviz.events.recording import Recording
+from dvsviz.formats import aedat4, prophesee
 from dvsviz.formats.arrays import convert_npy, convert_npz
 from dvsviz.formats.cache import cached
 from dvsviz.formats.calibration import read_calibration
@@ -23,6 +24,7 @@ from dvsviz.formats.uzh import convert_uzh
 
 _HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 _ZIP_MAGICS = (b"PK\x03\x04", b"PK\x05\x06")
+_HEAD_BYTES = 1 << 16
 _NPY_MAGIC = b"\x93NUMPY"
 _UZH_FILES = ("events.txt", "groundtruth.txt", "calib.txt", "images.txt", "imu.txt")
 
@@ -94,7 +96,7 @@ def _open_folder(path: Path, options: OpenOptions) -> Recording:
 
 def _open_file(path: Path, options: OpenOptions) -> Recording:
     with path.open("rb") as file:
-        head = file.read(4096)
+        head = file.read(_HEAD_BYTES)
     if not head:
         raise FormatError("the file is empty", path=path, hint="record or copy it again")
     if head.startswith(_HDF5_MAGIC):
@@ -103,6 +105,11 @@ def _open_file(path: Path, options: OpenOptions) -> Recording:
         return _open_zip(path, options)
     if head.startswith(_NPY_MAGIC):
         return _converted(path, [path], options, "npy", lambda sink: convert_npy(path, sink))
+    if head.startswith(aedat4.MAGIC):
+        return _converted(path, [path], options, aedat4.FORMAT_NAME, lambda sink: aedat4.convert_aedat4(path, sink))
+    if (header := prophesee.read_header(head)) is not None:
+        name = f"Prophesee {header.encoding}"
+        return _converted(path, [path], options, name, lambda sink: prophesee.convert_prophesee(path, header, sink))
     if _is_text_events(head):
         # The file alone: what lies beside it in its folder belongs to it.
         folder = Folder(path.parent)
