@@ -65,7 +65,7 @@ def track(
 
     Args:
         recording: what is tracked.
-        config: settings; None takes the defaults, or with `resume` those of the session.
+        config: settings; None or defaults take those of the session with `resume`, which may not be changed.
         out: the session's file.
         force: replace a session that is there.
         resume: continue an interrupted session from its last checkpoint; windows after it are tracked again.
@@ -155,7 +155,7 @@ class _Run:
             _check_same(recording, session)
             header = session.header
             stored = TrackerConfig.from_json(header.config_json)
-            if config is not None and config != stored:
+            if config not in (None, TrackerConfig(), stored):
                 raise ConfigError(
                     f"settings differ from those of {out}: {_difference(config, stored)}",
                     hint="resume without settings, or start again with --force",

@@ -272,7 +272,7 @@ class Serve:
     """Recordings to track live, and sessions to show."""
     host: str = "127.0.0.1"
     """Address to listen at; others than this machine's own are reachable from the network."""
-    port: Annotated[int, arg(metavar="PORT")] = 8560
+    port: Annotated[int, arg(metavar="PORT")] = 8765
     """Port to listen at; 0 for any free one."""
     no_browser: Flag = False
     """Do not open a browser."""

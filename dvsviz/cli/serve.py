@@ -11,10 +11,11 @@ def serve(command: Serve) -> int:
     from dvsviz.gateway.app import serve as run
 
     run(
-        list(command.paths),
+        command.paths,
+        sessions_dir=sessions_folder(command.sessions),
         host=command.host,
         port=command.port,
-        browser=not command.no_browser,
-        sessions=sessions_folder(command.sessions),
+        open_browser=not command.no_browser,
+        ready=lambda address: print(address, flush=True),
     )
     return 0
