@@ -116,10 +116,10 @@ class Dashboard:
         self._exports = Exports()
         for path in sessions:
             self._library.add_session(path)
+        self._watch = Watch(self._library, self._tabs)
         for order in orders:
             self._library.add_recording(order.recording)
             self.runs.add(order)
-        self._watch = Watch(self._library, self._tabs)
         self._routes = Routes(
             keys=self._keys,
             library=self._library,

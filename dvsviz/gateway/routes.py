@@ -61,7 +61,8 @@ class Routes:
             Route("/favicon.ico", lambda _: RedirectResponse("/static/icon.svg")),
             *(Route(path, _answered(call), methods=[method]) for path, (call, method) in api.items()),
             WebSocketRoute("/ws", self.tab),
-            WebSocketRoute("/viser/{tab}/{path:path}", self.scene_socket),
+            # viser's client leaves out the slash at the end.
+            WebSocketRoute("/viser/{tab}", self.scene_socket),
             Route("/viser/{tab}/{path:path}", _answered(self.scene)),
             Mount("/static", StaticFiles(directory=self._static)),
         ]

@@ -26,9 +26,10 @@ PAGE_POLICY = (
     "font-src 'self'; connect-src 'self'; frame-src 'self'; form-action 'none'; base-uri 'none'; "
     "frame-ancestors 'none'"
 )
-# viser's client is one file that unpacks itself with WebAssembly and inline scripts and starts workers from blobs.
+# viser's client is one file that unpacks itself with WebAssembly and inline scripts, compiles functions from text and
+# starts workers from blobs.
 SCENE_POLICY = (
-    "default-src 'none'; script-src 'self' 'unsafe-inline' 'wasm-unsafe-eval' blob:; style-src 'self' 'unsafe-inline'; "
+    "default-src 'none'; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; style-src 'self' 'unsafe-inline'; "
     "worker-src 'self' blob: data:; img-src 'self' blob: data:; font-src 'self' data:; connect-src 'self' blob: data:; "
     "form-action 'none'; base-uri 'none'; frame-ancestors 'self'"
 )

@@ -25,7 +25,15 @@ STATUS_RGB: dict[Status, tuple[int, int, int]] = {
     Status.LOST: (213, 94, 0),
     Status.RELOCALIZING: (86, 180, 233),
 }
-_PALETTE = np.array([STATUS_RGB[status] for status in STATUSES], dtype=np.uint8)
+
+
+def line_rgb(rgb: tuple[int, int, int]) -> tuple[int, int, int]:
+    """Return the colour that viser's lines need to look like `rgb`: they take linear light, not sRGB."""
+    r, g, b = (round(255 * (value / 255) ** 2.2) for value in rgb)
+    return r, g, b
+
+
+_PALETTE = np.array([line_rgb(STATUS_RGB[status]) for status in STATUSES], dtype=np.uint8)
 
 
 def path(positions: Array) -> NDArray[np.float32]:
@@ -72,14 +80,13 @@ def pyramid(camera: Camera, size: float) -> tuple[Array, NDArray[np.int64]]:
 def map_image_pose(revision: MapRevision) -> tuple[float, float, Array, Array]:
     """Return width, height, position (3,) and quaternion wxyz (4,) at which a map's texture lies in the world.
 
-    viser draws an image with x right, y up, seen from +z; a map has y down and is seen from -z: half a turn about x.
+    viser draws an image with x right and y down, to be seen along +z: as the map frame has it.
     """
     rows, columns = revision.texture.shape
     plane = Plane(normal=revision.normal_world, distance=revision.distance)
     centre = revision.origin + np.array([columns - 1, rows - 1]) / (2 * revision.px_per_unit)
     position = map_to_world(centre[None], plane)[0]
-    R_world_image = rotation_to_map(revision.normal_world).T @ np.diag([1.0, -1.0, -1.0])
-    wxyz = se3.quaternion_from_rotation(R_world_image)
+    wxyz = se3.quaternion_from_rotation(rotation_to_map(revision.normal_world).T)
     width, height = columns / revision.px_per_unit, rows / revision.px_per_unit
     return width, height, position, wxyz
 
@@ -93,9 +100,9 @@ def viewpoint(Ts_world_camera: Array) -> tuple[tuple[float, float, float], tuple
         # A lost stretch may fly far away: the middle 90 % say where the camera was.
         low, high = np.percentile(positions, [5, 95], axis=0)
         centre = np.clip((low + high) / 2, -5, 5)
-        extent = float(np.clip(np.linalg.norm(high - low), 1.0, 8.0))
-    eye = centre + extent * np.array([0.9, -0.55, -1.0])
-    target = centre + np.array([0.0, 0.0, 0.55])
+        extent = float(np.clip(np.linalg.norm(high - low), 0.8, 8.0))
+    eye = centre + extent * np.array([0.8, -0.55, -0.95])
+    target = centre + np.array([0.15, 0.0, 0.6])
     return (eye[0], eye[1], eye[2]), (target[0], target[1], target[2])
 
 

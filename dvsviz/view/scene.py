@@ -186,7 +186,9 @@ class TabScene:
             self._truth_windows = shown.window_count
             first, last = shown.session.header.first_us, shown.session.header.last_us
             inside = (truth.t_us >= first) & (truth.t_us <= last)
-            self._replace_lines("truth", geometry3d.path(truth.positions[inside]), _TRUTH_RGB, 1.5)
+            self._replace_lines(
+                "truth", geometry3d.path(truth.positions[inside]), geometry3d.line_rgb(_TRUTH_RGB), 1.5
+            )
 
     def _draw_keyframes(self, shown: ShownSession) -> None:
         keyframes = shown.keyframes
@@ -196,7 +198,7 @@ class TabScene:
         self._keyframe_windows = windows
         poses = shown.poses()
         Ts = np.stack([poses[k.window] if k.window < len(poses) else k.T_world_camera for k in keyframes])
-        vertices, faces = geometry3d.pyramid(shown.session.header.camera, 0.035)
+        vertices, faces = geometry3d.pyramid(shown.session.header.camera, 0.04)
         handle = self._server.scene.add_batched_meshes_simple(
             "/keyframes",
             vertices,
