@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 
 from dvsviz.geometry import se3
@@ -45,9 +47,12 @@ def header(**changes: object) -> SessionHeader:
     return SessionHeader(**(values | changes))
 
 
+@cache
 def pose(k: int) -> np.ndarray:
     s = 0.05 * k
-    return se3.pose(se3.exp_so3([0.1 * np.sin(s), 0.2 * np.sin(0.7 * s), 0.05 * s]), [np.sin(s), 0.3 * s, -0.1 * s])
+    T = se3.pose(se3.exp_so3([0.1 * np.sin(s), 0.2 * np.sin(0.7 * s), 0.05 * s]), [np.sin(s), 0.3 * s, -0.1 * s])
+    T.setflags(write=False)
+    return T
 
 
 def status(k: int) -> Status:
@@ -138,11 +143,10 @@ def updates(k: int) -> TrackerUpdates:
 
 def refined_pose(window: int, windows: int) -> np.ndarray:
     """Window's pose as last refined in a session of so many windows (the rule of `updates`)."""
-    T = pose(window)
+    T = pose(window).copy()
     for k in range(0, windows, 10):
         if k - 15 <= window <= k:
-            T = pose(window)
-            T[0, 3] += 0.001 * (k // 10 + 1)
+            T[0, 3] = pose(window)[0, 3] + 0.001 * (k // 10 + 1)
     return T
 
 

@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from dvsviz.errors import SessionError
 from dvsviz.session import schema
 from dvsviz.session.commits import Commit, read_commit
+from dvsviz.session.killed import ClosedView
+from dvsviz.session.lock import has_writer
 
 # A reader that meets the writer in the middle of a flush tries again: a flush takes about 10 ms.
 _TRIES = 20
@@ -116,15 +118,28 @@ def _open(path: Path) -> h5py.File:
         raise SessionError(f"cannot be read: {error.strerror}", path=path, hint="check its permissions") from error
     failure = ""
     for _ in range(_TRIES):
+        live = has_writer(path)
         try:
-            return h5py.File(path, "r", libver="latest", swmr=True)
-        except OSError as error:
-            failure = " ".join(str(error).split())
-            # A cut off file does not get better by waiting; one that is locked or half flushed does.
-            if "truncated" in failure or "signature" in failure:
-                break
+            return h5py.File(path, "r", swmr=True) if live else _open_unwritten(path)
+        except (OSError, RuntimeError) as error:
+            failure = str(error)
+        # A damaged file does not get better by waiting; one that is half flushed, or was just closed, does.
+        if not live and not has_writer(path) and "unable to lock" not in failure:
+            break
         time.sleep(_PAUSE_S)
-    raise SessionError(f"cannot be opened: {failure[:200]}", path=path, hint="track the recording again")
+    raise SessionError(
+        f"cannot be opened: {' '.join(failure.split())[:200]}", path=path, hint="track the recording again"
+    )
+
+
+def _open_unwritten(path: Path) -> h5py.File:
+    try:
+        return h5py.File(path, "r")
+    except OSError as error:
+        # The second is left by a writer that could not write its last bytes.
+        if not any(words in str(error) for words in ("already open for write", "truncated file")):
+            raise
+    return h5py.File(ClosedView(path), "r")
 
 
 def _check_format(file: h5py.File, path: Path) -> None:
