@@ -37,7 +37,8 @@ const place = (name) => `/api/sessions/${encodeURIComponent(name)}`;
 /** Changes the token for a cookie; 403 when it is not this server's. */
 export const login = (token) => post("/api/login", { token });
 export const sessions = async () => (await call("/api/sessions")).json();
-export const session = async (name) => (await call(place(name))).json();
+/** What there is to know about a session, and the address of the 3-D scene of a tab. */
+export const session = async (name, tab) => (await call(`${place(name)}?tab=${tab}`)).json();
 export const startExport = async (name, to) => (await (await post(`${place(name)}/export`, { to })).json()).id;
 export const exportAddress = (id) => `/api/exports/${encodeURIComponent(id)}`;
 export const run = (name, action) => post(`/api/runs/${encodeURIComponent(name)}`, { action });

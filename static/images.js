@@ -10,6 +10,13 @@ export const KINDS = [
   { kind: "texture", name: "texture", title: "The map as it was at this window", note: () => "" },
 ];
 
+/** Why an image is missing; the note is said once, under raw. */
+function why(kind, note) {
+  if (kind === "raw") return note || "no events";
+  if (kind === "warped") return note ? "stored for keyframes only" : "no events";
+  return note && kind === "map" ? "needs the events" : "no map yet";
+}
+
 export class Images {
   #worker = new Worker("/static/decoder.js");
   #cells = new Map();
@@ -30,15 +37,14 @@ export class Images {
     const canvas = make("canvas", { width: 4, height: 3, role: "img", "aria-label": `${name}: ${title}` });
     const note = make("span", { class: "dim number" });
     const missing = make("span", { class: "missing dim" });
-    const explained = make("span", {}, "explained");
-    const legend = kind === "map" ? make("span", { class: "edge-legend number" }, make("i", { class: "explained" }), explained, make("i", { class: "unexplained" }), "new") : null;
+    const legend = kind === "map" ? make("span", { class: "edge-legend" }, make("i", { class: "explained" }), "explained", make("i", { class: "unexplained" }), "new") : null;
     const figure = make(
       "button",
       { class: "cell", dataset: { kind }, "aria-pressed": "false", title: `${title} (${i + 1}: enlarge)`, on: { click: () => this.enlarge(kind) } },
       make("span", { class: "caption" }, make("b", {}, name), legend, make("span", { class: "spring" }), note),
       make("span", { class: "picture" }, canvas, missing),
     );
-    this.#cells.set(kind, { figure, canvas, note, missing, explained, pen: canvas.getContext("2d") });
+    this.#cells.set(kind, { figure, canvas, note, missing, pen: canvas.getContext("2d") });
     return figure;
   }
 
@@ -104,9 +110,8 @@ export class Images {
       const cell = this.#cells.get(kind);
       const i = images.findIndex((image) => image.kind === kind);
       setText(cell.note, values ? note(values) : "");
-      setText(cell.explained, Number.isFinite(values?.overlap) ? `${fixed(100 * values.overlap, 0)} % explained` : "explained");
       if (i < 0) {
-        this.#blank(cell, images.length ? (kind === "raw" ? "no events" : "no map yet") : values?.note || "no images");
+        this.#blank(cell, why(kind, values?.note));
         continue;
       }
       const { width, height } = bitmaps[i];

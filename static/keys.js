@@ -31,6 +31,7 @@ const KEYS = [
     [["+", "="], "zoom in on the playhead", "zoomIn"],
     [["-"], "zoom out", "zoomOut"],
     [["0"], "the whole session", "fit"],
+    [["v"], "reset the view of the scene", "resetView"],
   ]],
   ["More", [
     [["f"], "follow a live session", "follow"],

@@ -20,10 +20,10 @@ export function ticks(low, high, count) {
   return { values, step };
 }
 
-/** A range whose ends are round numbers. */
-export function niceRange([low, high], floor = null) {
+/** A range whose ends are round numbers, at least `least` wide: noise around nothing is not made large. */
+export function niceRange([low, high], floor, least) {
   const bottom = floor ?? low;
-  const span = high - bottom || Math.abs(high) || 1;
+  const span = Math.max(least, high - bottom);
   const { step } = ticks(bottom, bottom + span, 4);
   return [floor ?? Math.floor(bottom / step) * step, Math.ceil((bottom + span) / step - 1e-9) * step];
 }

@@ -16,7 +16,7 @@ import { Scene } from "./scene.js";
 import { Seeker } from "./seeker.js";
 import { Sessions } from "./sessions.js";
 import { sideGrip } from "./side.js";
-import { Socket, tabId } from "./socket.js";
+import { Socket } from "./socket.js";
 import { state } from "./state.js";
 import { paintBadge } from "./status.js";
 import { themes } from "./theme.js";
@@ -28,7 +28,7 @@ const UNANSWERED = "The server does not answer. This page comes back by itself w
 const FLASH_MS = 6000;
 const RELOAD_MS = 3000;
 
-const socket = new Socket(tabId());
+const socket = new Socket();
 const seeker = new Seeker((message) => socket.send(message));
 const timeline = new Timeline();
 const images = new Images((message) => viewing.shown(message));
@@ -72,6 +72,8 @@ socket.addEventListener("closed", async ({ detail: { tries } }) => {
 });
 socket.addEventListener("sessions", ({ detail: { sessions } }) => listed(sessions));
 socket.addEventListener("grown", ({ detail }) => viewing.grown(detail));
+// A keyframe was clicked in the 3-D scene.
+socket.addEventListener("goto", ({ detail }) => detail.session === state.session && byHand(detail.window));
 socket.addEventListener("export", ({ detail }) => exporting.take(detail));
 socket.addEventListener("error", ({ detail }) => detail?.text && flash(detail.text));
 socket.addEventListener("images", ({ detail }) => {
@@ -82,7 +84,7 @@ socket.addEventListener("images", ({ detail }) => {
 function listed(sessions) {
   const first = state.sessions === null;
   state.set({ sessions });
-  if (!state.session && sessions.length) {
+  if (!state.session && !readAddress().session && sessions.length) {
     const best = sessions.find(({ state: is }) => is === "live") ?? sessions[0];
     viewing.open(best.name);
   } else if (first && !sessions.length) {
@@ -186,6 +188,7 @@ listenToKeys({
   zoomIn: () => zoomAt(0.5),
   zoomOut: () => zoomAt(2),
   fit: () => timeline.fit(),
+  resetView: () => scene.reset(),
   follow: () => (state.following ? state.set({ following: false }) : viewing.follow()),
   loop: loopHere,
   exports: () => byId("export-button").click(),
@@ -221,11 +224,11 @@ async function start() {
   const { session, window } = readAddress();
   const wanted = session ?? state.session;
   socket.connect();
+  await Promise.all([api.sessions(), socket.greeted()]);
   if (wanted) {
     state.set({ session: wanted });
     viewing.open(wanted, session ? window : state.windows ? state.window : null);
   }
-  listed(await api.sessions());
 }
 
 // The script interface: for embedding and for tests.
@@ -237,7 +240,7 @@ window.dvsviz = {
   async seek(window) {
     if (!Number.isInteger(window) || window < 0 || window >= state.windows) throw new RangeError(`window: expected 0 to ${state.windows - 1}, got ${window}`);
     byHand(window);
-    if (state.shown !== window) await viewing.arrived();
+    await viewing.arrived();
   },
   async play() {
     transport.play();

@@ -19,6 +19,7 @@ export class Scene {
   #frame = null;
   #timer = 0;
   #wanted = null;
+  #isMissing = false; // the browser draws no 3-D
 
   /** `send(message)` tells the server which layers are on. */
   constructor(state, send) {
@@ -33,6 +34,7 @@ export class Scene {
       for (const button of document.querySelectorAll("[data-layer]")) button.setAttribute("aria-pressed", String(state.layers[button.dataset.layer]));
       document.querySelector("[data-layer=truth]").hidden = !state.detail?.ground_truth;
     });
+    byId("reset-view").addEventListener("click", () => this.reset());
     state.watch(["shown"], () => state.shown !== null && this.#load());
   }
 
@@ -45,7 +47,7 @@ export class Scene {
   }
 
   #load() {
-    if (!this.#wanted || this.#frame?.dataset.address === this.#wanted) return;
+    if (!this.#wanted || this.#isMissing || this.#frame?.dataset.address === this.#wanted) return;
     clearTimeout(this.#timer);
     const software = isSoftware();
     if (software === null) return this.#without();
@@ -54,6 +56,11 @@ export class Scene {
     if (software) url.searchParams.set("fixedDpr", "0.5");
     this.#frame?.remove();
     this.#frame = make("iframe", { src: url.href, title: "3-D scene: map, trajectory, keyframes and camera", dataset: { address: this.#wanted } });
+    // Its warnings about the browser and its panel stay away: what is of use stands in this page.
+    this.#frame.addEventListener("load", () => {
+      const style = make("link", { rel: "stylesheet", href: "/static/scene.css" });
+      this.#frame.contentDocument.head.append(style);
+    });
     // The keys of the page work in the scene too, unless it wants them for a field of its own.
     this.#frame.addEventListener("load", () => {
       this.#frame.contentWindow.addEventListener("keydown", (event) => {
@@ -65,9 +72,15 @@ export class Scene {
     byId("scene").append(this.#frame);
   }
 
+  /** The view from which a session is first seen. */
+  reset() {
+    this.#frame?.contentWindow.location.reload();
+  }
+
   #without() {
-    const empty = byId("scene-empty");
-    empty.hidden = false;
-    empty.replaceChildren(make("h2", {}, "No 3-D scene"), make("p", {}, "This browser offers no WebGL 2. Images, numbers and the timeline work without it."));
+    this.#isMissing = true;
+    byId("layers").hidden = true;
+    const text = "This browser offers no WebGL 2. Images, numbers and the timeline work without it.";
+    byId("scene").append(make("div", { class: "empty" }, make("h2", {}, "No 3-D scene"), make("p", {}, text)));
   }
 }

@@ -14,11 +14,12 @@ export function decodeImages(buffer) {
   return header;
 }
 
-/** 16 hex digits that name this tab, kept while it lives. */
-export function tabId() {
+const TAKEN = 4409; // another page, of which this tab is a copy, has the name
+
+/** 16 hex digits that name this tab, kept while it lives; made anew when it is a copy of another tab. */
+function tabId(anew = false) {
   let id = sessionStorage.getItem("dvsviz-tab");
-  // A duplicated tab copies sessionStorage and would share the playhead: only a reload keeps the id.
-  if (!id || performance.getEntriesByType("navigation")[0]?.type !== "reload") {
+  if (!id || anew) {
     id = Array.from(crypto.getRandomValues(new Uint8Array(8)), (byte) => byte.toString(16).padStart(2, "0")).join("");
     sessionStorage.setItem("dvsviz-tab", id);
   }
@@ -26,7 +27,7 @@ export function tabId() {
 }
 
 /**
- * Events: `open`, `closed`, and one for each type of message (`sessions`, `grown`, `export`, `error`, `images`),
+ * Events: `open` (the server has greeted), `closed`, and one for each type of message (`sessions`, `grown`, `export`, `error`, `images`),
  * with the message in `detail`.
  */
 export class Socket extends EventTarget {
@@ -34,9 +35,11 @@ export class Socket extends EventTarget {
   #tries = 0;
   #timer = 0;
 
-  constructor(tab) {
-    super();
-    this.tab = tab;
+  tab = tabId();
+
+  /** Resolves when the server greets. */
+  greeted() {
+    return new Promise((resolve) => this.addEventListener("open", resolve, { once: true }));
   }
 
   get isOpen() {
@@ -50,15 +53,21 @@ export class Socket extends EventTarget {
     const socket = new WebSocket(`${scheme}://${location.host}/ws?tab=${this.tab}`);
     this.#socket = socket;
     socket.binaryType = "arraybuffer";
-    socket.onopen = () => {
-      this.#tries = 0;
-      this.#tell("open");
-    };
+    let greeted = false;
     socket.onmessage = ({ data }) => {
+      if (!greeted) {
+        greeted = true;
+        this.#tries = 0;
+        this.#tell("open");
+      }
       const message = typeof data === "string" ? JSON.parse(data) : decodeImages(data);
       this.#tell(message.type, message);
     };
-    socket.onclose = () => {
+    socket.onclose = ({ code }) => {
+      if (code === TAKEN) {
+        this.tab = tabId(true);
+        return this.connect();
+      }
       const wait = WAITS_MS[Math.min(this.#tries++, WAITS_MS.length - 1)];
       this.#tell("closed", { tries: this.#tries });
       this.#timer = setTimeout(() => this.connect(), wait);

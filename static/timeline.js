@@ -6,13 +6,13 @@ import { clockTime } from "./format.js";
 import { FONT, axisTime, drawCurve, drawLaneLabels, drawStates, niceRange, stateFills, ticks } from "./lanes.js";
 
 const LANES = [
-  { key: "contrast_gain", label: "contrast gain", unit: "×", digits: 2, ink: "--curve-contrast", floor: null },
+  { key: "contrast_gain", label: "contrast gain", unit: "×", digits: 2, ink: "--curve-contrast", floor: null, least: 0.5 },
   { key: "overlap", label: "overlap", unit: "0 to 1", digits: 2, ink: "--curve-overlap", fixed: [0, 1] },
-  { key: "event_rate_hz", label: "events", unit: "Mev/s", digits: 2, gain: 1e-6, ink: "--curve-events", floor: 0 },
+  { key: "event_rate_hz", label: "events", unit: "Mev/s", digits: 2, gain: 1e-6, ink: "--curve-events", floor: 0, least: 0.02 },
 ];
 const WITH_TRUTH = [
-  { key: "error_percent", label: "position error", unit: "% d", digits: 2, ink: "--truth", floor: 0 },
-  { key: "error_deg", label: "rotation error", unit: "°", digits: 2, ink: "--truth", floor: 0 },
+  { key: "error_percent", label: "position error", unit: "% d", digits: 2, ink: "--truth", floor: 0, least: 1 },
+  { key: "error_deg", label: "rotation error", unit: "°", digits: 2, ink: "--truth", floor: 0, least: 0.5 },
 ];
 const WITHOUT_TRUTH = [
   { key: "score", label: "map score", unit: "0 to 1", digits: 2, ink: "--curve-score", fixed: [0, 1] },
@@ -68,7 +68,7 @@ export class Timeline {
     const rest = detail?.ground_truth && columns.has("error_percent") ? WITH_TRUTH : WITHOUT_TRUTH;
     this.#curves = [...LANES, ...rest].map((lane) => {
       const spread = columns.spread(lane.key).map((value) => value * (lane.gain ?? 1));
-      return { ...lane, range: lane.fixed ?? niceRange(spread, lane.floor ?? null), ink: themeColour(lane.ink) };
+      return { ...lane, range: lane.fixed ?? niceRange(spread, lane.floor, lane.least), ink: themeColour(lane.ink) };
     });
   }
 

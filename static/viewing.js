@@ -11,7 +11,9 @@ const AGAIN_UNKNOWN = "The server does not know this browser any more.";
 
 export class Viewing {
   #opening = 0; // counts opened sessions: answers for an older one are dropped
+  #again = false; // there is more to fetch after that
   #growing = null; // the fetch of new windows that is under way
+  #painted = 0; // newest request whose images are on the screen
   #waiting = []; // promises of the script interface: {request, resolve}
 
   /**
@@ -33,9 +35,10 @@ export class Viewing {
     timeline.setLoop(null);
     timeline.show({ columns: null, detail: null }, true);
     showEmpty(null);
-    this.socket.send({ type: "open", session: name });
     try {
-      const detail = await api.session(name);
+      const detail = await api.session(name, this.socket.tab);
+      if (mine !== this.#opening) return;
+      this.socket.send({ type: "open", session: name });
       const columns = new Columns(detail.statuses.map((status) => STATES[status]?.badness ?? 0));
       const answer = await api.columns(name, 0);
       if (mine !== this.#opening) return;
@@ -94,6 +97,7 @@ export class Viewing {
   /** Images of a window are on the screen. */
   shown(message) {
     if (message.session !== this.state.session) return;
+    this.#painted = message.request;
     this.state.set({ shown: message.images.length ? message.window : null, values: message.values });
     window.dispatchEvent(new CustomEvent("dvsviz-shown", { detail: { window: message.window, at: performance.now() } }));
     const ready = this.#waiting.filter(({ request }) => request <= message.request);
@@ -103,7 +107,9 @@ export class Viewing {
 
   /** Resolves when the newest request, or a later one, is on the screen. */
   arrived() {
-    return new Promise((resolve) => this.#waiting.push({ request: this.seeker.newest, resolve }));
+    const request = this.seeker.newest;
+    if (this.#painted >= request) return Promise.resolve();
+    return new Promise((resolve) => this.#waiting.push({ request, resolve }));
   }
 
   /** Takes the playhead to the end of a live session and keeps it there. */
@@ -125,9 +131,13 @@ export class Viewing {
 
   /** Fetches what a live session has more; one fetch at a time, at most a few a second. */
   grow() {
-    this.#growing ??= this.#fetchMore().finally(() => {
+    if (this.#growing) return void (this.#again = true);
+    this.#growing = this.#fetchMore().finally(() => {
       this.#growing = null;
+      // What was told meanwhile may be newer than what was fetched: the session's end, above all.
+      if (this.#again) this.grow();
     });
+    this.#again = false;
   }
 
   async #fetchMore() {
@@ -136,7 +146,7 @@ export class Viewing {
     const { session, columns } = state;
     if (!columns) return;
     try {
-      const detail = await api.session(session);
+      const detail = await api.session(session, this.socket.tab);
       const live = detail.state === "live";
       // At the end refined poses and errors of all windows are known: everything is read again.
       const answer = await api.columns(session, live ? columns.count : 0);

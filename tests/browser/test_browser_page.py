@@ -1,0 +1,206 @@
+"""The page around a session: list, door, help, export, sizes; nothing in the console or from elsewhere."""
+
+from __future__ import annotations
+
+import re
+
+import cv2
+import numpy as np
+import pytest
+from browser_page import Dashboard
+from playwright.sync_api import Browser
+
+pytestmark = pytest.mark.browser
+
+
+def test_nothing_in_the_console_and_nothing_from_elsewhere(dashboard_with_scene: Dashboard) -> None:
+    dashboard = dashboard_with_scene
+    dashboard.enter("barcode")
+    dashboard.press("n", "Space", "ArrowRight", "?", "?", "1", "1", "t", "t", "t", "+", "-", "0", "l", "Escape")
+    dashboard.page.wait_for_selector("#scene iframe")
+    dashboard.page.wait_for_timeout(1500)
+    assert not dashboard.problems
+    assert [url for url in dashboard.requests if not url.startswith((dashboard.base, "blob:", "data:"))] == []
+
+
+def test_the_scene_is_drawn_and_follows(dashboard_with_scene: Dashboard) -> None:
+    dashboard = dashboard_with_scene
+    dashboard.enter("barcode", 50)
+    frame = dashboard.page.frame_locator("#scene iframe")
+    frame.locator("canvas").first.wait_for(timeout=20_000)
+
+    def picture() -> np.ndarray:
+        shot = np.frombuffer(dashboard.page.locator("#scene").screenshot(), np.uint8)
+        return cv2.imdecode(shot, cv2.IMREAD_COLOR)[5:-5, 5:-5]
+
+    # Map rings, trajectory, frustum: far more than the flat ground of an empty canvas.
+    dashboard.until(lambda: len(np.unique(picture().reshape(-1, 3), axis=0)) > 200, "something is drawn", 30)
+    dashboard.page.wait_for_timeout(1000)
+    before = picture()
+    assert np.abs(picture().astype(int) - before).max() < 40
+    dashboard.run("seek(150)")
+    dashboard.until(lambda: np.abs(picture().astype(int) - before).max() > 100, "the camera moves in the scene", 10)
+    assert not dashboard.problems
+
+
+def test_layers_are_switched(dashboard_with_scene: Dashboard) -> None:
+    dashboard = dashboard_with_scene
+    dashboard.enter("barcode", 50)
+    for layer in ("map", "trajectory", "keyframes", "truth", "frustum"):
+        button = dashboard.page.locator(f"[data-layer={layer}]")
+        button.click()
+        assert button.get_attribute("aria-pressed") == "false"
+    assert not dashboard.problems
+
+
+def test_without_webgl_the_rest_works_and_it_is_said(dashboard: Dashboard) -> None:
+    dashboard.enter("barcode", 50)
+    dashboard.page.get_by_role("heading", name="No 3-D scene").wait_for()
+    dashboard.run("seek(60)")
+    assert dashboard.decoded() == 60
+    assert not dashboard.problems
+
+
+def test_the_timeline_is_not_blank(dashboard: Dashboard) -> None:
+    dashboard.enter("barcode")
+    colours = dashboard.page.evaluate(
+        """() => {
+          const canvas = document.getElementById("timeline-lanes");
+          const data = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
+          const seen = new Set();
+          for (let i = 0; i < data.length; i += 4)
+            if (data[i + 3] === 255) seen.add((data[i] << 16) + (data[i + 1] << 8) + data[i + 2]);
+          return [...seen];
+        }"""
+    )
+    for state_colour in (0x009E73, 0xE69F00, 0xD55E00):
+        assert state_colour in colours
+
+
+@pytest.mark.parametrize("address", ["#token=wrong", "", "#session=barcode&window=3"])
+def test_a_browser_without_the_token_is_told_what_to_do(flat_chromium: Browser, server: str, address: str) -> None:
+    context = flat_chromium.new_context()
+    page = context.new_page()
+    page.goto(server.split("#")[0] + address)
+    page.get_by_role("heading", name="This page needs its key").wait_for()
+    assert "token" not in page.url
+    assert page.locator(".session-list").is_hidden()
+    page.get_by_label("Address or token").fill("nonsense")
+    page.get_by_role("button", name="Open").click()
+    page.get_by_text("This token is not the one of the running server.").wait_for()
+    page.get_by_label("Address or token").fill(server)
+    page.get_by_role("button", name="Open").click()
+    page.locator(".session-list a").first.wait_for()
+    assert page.locator("#door").is_hidden()
+    context.close()
+
+
+def test_the_list_is_filtered_and_walked_by_keyboard(dashboard: Dashboard) -> None:
+    dashboard.enter("barcode")
+    dashboard.press("/")
+    dashboard.page.keyboard.type("gon")
+    assert dashboard.page.locator(".session-list a").count() == 1
+    dashboard.page.keyboard.type("zzz")
+    assert "gonzzz" in dashboard.page.locator("#session-none").inner_text()
+    for _ in "zzz":
+        dashboard.press("Backspace")
+    dashboard.press("ArrowDown", "Enter")
+    dashboard.until(lambda: dashboard.state["session"] == "gone", "the session is opened by keyboard")
+
+
+def test_a_session_that_does_not_exist_is_said(dashboard: Dashboard) -> None:
+    dashboard.page.goto(dashboard.address + "&session=lost-and-gone")
+    dashboard.page.get_by_role("heading", name="There is no session called “lost-and-gone”").wait_for()
+    dashboard.page.get_by_role("link", name="barcode").click()
+    dashboard.until(lambda: dashboard.state["shown"] is not None, "another can be chosen")
+
+
+def test_help_opens_and_closes(dashboard: Dashboard) -> None:
+    dashboard.enter("barcode")
+    dashboard.press("?")
+    assert dashboard.page.locator("dialog#help").is_visible()
+    assert "next failure" in dashboard.page.locator("dialog#help").inner_text()
+    dashboard.press("Escape")
+    assert dashboard.page.locator("dialog#help").is_hidden()
+
+
+@pytest.mark.parametrize(("to", "begins"), [("tum", b""), ("rrd", b"RRF2")])
+def test_the_export_buttons_give_files(dashboard: Dashboard, to: str, begins: bytes, tmp_path) -> None:
+    dashboard.enter("barcode")
+    dashboard.press("e")
+    with dashboard.page.expect_download(timeout=60_000) as waiting:
+        dashboard.page.locator(f"[data-export={to}]").click()
+    download = waiting.value
+    assert download.suggested_filename == f"barcode.{to}"
+    file = tmp_path / "file"
+    download.save_as(file)
+    content = file.read_bytes()
+    assert content.startswith(begins)
+    if to == "tum":
+        rows = [line.split() for line in content.decode().splitlines() if not line.startswith("#")]
+        assert len(rows) > 200
+        assert all(len(row) == 8 for row in rows)
+    dashboard.page.get_by_role("link", name="save again").wait_for()
+
+
+def test_a_loop_stays_inside(dashboard: Dashboard) -> None:
+    dashboard.enter("barcode", 5)
+    dashboard.page.keyboard.down("Shift")
+    dashboard.page.mouse.move(*dashboard.timeline_x(0.5))
+    dashboard.page.mouse.down()
+    dashboard.page.mouse.move(*dashboard.timeline_x(0.52), steps=4)
+    dashboard.page.mouse.up()
+    dashboard.page.keyboard.up("Shift")
+    dashboard.run("play()")
+    for _ in range(12):
+        dashboard.page.wait_for_timeout(80)
+        assert 148 <= dashboard.state["window"] <= 158
+    assert dashboard.state["playing"]
+
+
+def test_the_wheel_zooms_where_the_pointer_is(dashboard: Dashboard) -> None:
+    dashboard.enter("barcode", 5)
+    dashboard.page.mouse.move(*dashboard.timeline_x(0.5))
+    for _ in range(4):
+        dashboard.page.mouse.wheel(0, -240)
+        dashboard.page.wait_for_timeout(40)
+    dashboard.page.mouse.click(*dashboard.timeline_x(0.9))
+    # Sixteen times closer: 0.9 of the view is 0.4/16 of the session right of its middle.
+    dashboard.until(lambda: abs(dashboard.state["shown"] - 157) <= 2, "a click lands in the enlarged stretch")
+    dashboard.press("0")
+    dashboard.page.mouse.click(*dashboard.timeline_x(0.9))
+    dashboard.until(lambda: abs(dashboard.state["shown"] - 270) <= 1, "the whole session is back")
+
+
+@pytest.mark.parametrize("size", [(1280, 800), (1920, 1080), (3840, 2160), (1024, 768), (820, 1180)])
+@pytest.mark.parametrize("scheme", ["dark", "light"])
+def test_nothing_overflows(flat_chromium: Browser, server: str, size: tuple[int, int], scheme: str) -> None:
+    context = flat_chromium.new_context(viewport={"width": size[0], "height": size[1]}, color_scheme=scheme)  # type: ignore[arg-type]
+    page = Dashboard(context.new_page(), server)
+    page.enter("barcode", 106)
+    outside = page.page.evaluate(
+        """() => [...document.querySelectorAll("button, select, canvas, iframe, h1, .clock, .failure, .tabs")]
+          .filter((e) => e.checkVisibility({ visibilityProperty: true }) && !e.closest(".sessions, .panel, [hidden]"))
+          .filter((e) => { const b = e.getBoundingClientRect();
+            return b.width && (b.right > innerWidth + 1 || b.bottom > innerHeight + 1 || b.left < -1 || b.top < -1); })
+          .map((e) => e.id || e.className || e.tagName)"""
+    )
+    assert outside == []
+    background = page.page.evaluate("getComputedStyle(document.body).backgroundColor")
+    brightness = sum(map(int, re.findall(r"\d+", background)[:3])) / 3
+    assert brightness < 80 if scheme == "dark" else brightness > 180
+    assert not page.problems
+    context.close()
+
+
+def test_every_control_has_a_name(dashboard: Dashboard) -> None:
+    dashboard.enter("barcode")
+    nameless = dashboard.page.evaluate(
+        """() => [...document.querySelectorAll("button, select, input, [role=slider], iframe, [role=tab]")]
+          .filter((e) => !(e.getAttribute("aria-label") || e.title || e.textContent.trim() || e.labels?.length))
+          .map((e) => e.outerHTML)"""
+    )
+    assert nameless == []
+    slider = dashboard.page.get_by_role("slider")
+    assert slider.get_attribute("aria-valuemax") == "299"
+    assert "window" in (slider.get_attribute("aria-valuetext") or "")
