@@ -15,8 +15,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from dvsviz.events.events import Events
+from dvsviz.simulate.render import BLOCK
 
-BLOCK = 8
 # More events of one pixel within one step than any contrast can cause.
 _MOST_A_STEP = 32
 
@@ -47,6 +47,11 @@ class EventCameraModel:
     hot_share: float = 1e-4
     hot_hz: float = 20.0
 
+    @property
+    def settling_s(self) -> float:
+        """Time constant of the low-pass, s; infinite where there is none."""
+        return 1 / (2 * np.pi * self.bandwidth_hz) if self.bandwidth_hz > 0 else np.inf
+
     def __post_init__(self) -> None:
         if not (self.threshold_on > 0 and self.threshold_off > 0 and 0 <= self.threshold_sigma < 0.3):
             raise ValueError("thresholds: expected positive means and a sigma of 0 to 0.3")
@@ -55,7 +60,7 @@ class EventCameraModel:
             raise ValueError("refractory_s, bandwidth_hz, leak_hz, shot_hz, hot_*: expected 0 or more")
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _sense(
     image, active, everywhere, columns, level, seen, memory, free_s, on, off, leak, block_s, t1, tau, refractory,
     out_s, out_x, out_y, out_p, count, first_block,
@@ -65,7 +70,7 @@ def _sense(
     for block in range(first_block, len(block_s)):
         if not (everywhere or active[block]):
             continue
-        if count + 64 * _MOST_A_STEP > len(out_s):
+        if count + BLOCK * BLOCK * _MOST_A_STEP > len(out_s):
             return block, count
         t0 = block_s[block]
         dt = t1 - t0
@@ -73,10 +78,10 @@ def _sense(
             continue
         block_s[block] = t1
         decay = np.exp(-dt / tau) if tau > 0.0 else 0.0
-        row0, column0 = block // columns * 8, block % columns * 8
-        for row in range(row0, min(row0 + 8, height)):
-            for column in range(column0, min(column0 + 8, width)):
-                x0, x1 = level[row, column], np.log(image[row, column])
+        row0, column0 = block // columns * BLOCK, block % columns * BLOCK
+        for row in range(row0, min(row0 + BLOCK, height)):
+            for column in range(column0, min(column0 + BLOCK, width)):
+                x0, x1 = level[row, column], np.float64(np.log(image[row, column]))
                 level[row, column] = x1
                 y0, y1 = seen[row, column], x1
                 if tau > 0.0:
@@ -91,11 +96,14 @@ def _sense(
                 if free >= t1:
                     memory[row, column] = b
                     continue
+                held, since = memory[row, column], t0
+                if free <= t0:
+                    # Most pixels see no event in a step.
+                    if held - off[row, column] < b < held + on[row, column]:
+                        continue
+                else:
+                    held, since = a + (b - a) * (free - t0) / dt, free
                 slope = (b - a) / dt
-                held = memory[row, column]
-                since = t0
-                if free > t0:
-                    held, since = a + slope * (free - t0), free
                 threshold = on[row, column] if slope > 0.0 else -off[row, column]
                 for _ in range(_MOST_A_STEP):
                     target = held + threshold
@@ -116,7 +124,7 @@ def _sense(
     return len(block_s), count
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _sorted_by_time(t_us, x, y, p, first_us, end_us):
     """Return the events sorted by microsecond, those of one microsecond in their old order."""
     starts = np.zeros(end_us - first_us + 1, np.int64)
@@ -155,7 +163,7 @@ class EventCamera:
         self._leak = np.zeros(shape)
         if model.leak_hz > 0:
             self._leak = model.leak_hz * model.threshold_on * rng.lognormal(-0.045, 0.3, shape)
-        self._level = np.log(image.astype(np.float64))
+        self._level = np.log(image).astype(np.float64)
         self._seen = self._level.copy()
         # Memorised at an unknown time before: anywhere between the thresholds, as in a sensor that has run a while.
         self._memory = (
@@ -180,13 +188,13 @@ class EventCamera:
 
         Args:
             image: intensity (height, width), above 0.
-            t_s: its time, not before the last one.
-            active: (blocks of 8 x 8,) False where the image is known to be as in the last step; None for none.
+            t_s: its time, not before the last one; with a low-pass, within its time constant of it.
+            active: (blocks of 4 x 4,) False where the image is known to be as in the last step; None for none.
         """
         # A low-passed pixel goes on changing after its light has stopped to.
         everywhere = active is None or self._model.bandwidth_hz > 0
         flags = np.ones(0, np.bool_) if active is None else active
-        tau = 1 / (2 * np.pi * self._model.bandwidth_hz) if self._model.bandwidth_hz > 0 else 0.0
+        tau = self._model.settling_s if self._model.bandwidth_hz > 0 else 0.0
         block = 0
         while True:
             block, self._count = _sense(

@@ -1,6 +1,6 @@
 """Rendering: the intensity that each pixel receives from a textured plane or a distant panorama.
 
-The sensor is worked through in blocks of 8 x 8 pixels; a block whose whole footprint is of one intensity, now and
+The sensor is worked through in blocks of 4 x 4 pixels; a block whose whole footprint is of one intensity, now and
 one step before, is left alone. On a wall with shapes this skips three quarters of the work.
 """
 
@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 from dvsviz.geometry.camera import Camera
 from dvsviz.simulate.texture import Texture
 
-BLOCK = 8
+BLOCK = 4
+# A bearing whose plane point is further than a thousand plane distances is past the horizon.
+_HORIZON = 1e-3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -62,123 +64,128 @@ class PixelGrid:
         return cls(bearings=table, block_bearings=block_bearings, block_area=block_area, rows=rows, columns=columns)
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _bilinear(data, offset, rows, columns, u, v):
-    u = min(max(u, 0.0), columns - 1.0)
-    v = min(max(v, 0.0), rows - 1.0)
-    i, j = int(u), int(v)
-    i2, j2 = min(i + 1, columns - 1), min(j + 1, rows - 1)
-    a, b = u - i, v - j
-    top = offset + j * columns
-    bottom = offset + j2 * columns
-    return (1 - b) * ((1 - a) * data[top + i] + a * data[top + i2]) + b * (
-        (1 - a) * data[bottom + i] + a * data[bottom + i2]
-    )
+@njit(cache=True, nogil=True, error_model="numpy")
+def _bilinear(data, offset, rows, columns, u, v, inside):
+    """Return the intensity of one level at its texel coordinates (u, v); `inside` promises 0 <= u, v < last."""
+    if not inside:
+        u = min(max(u, np.float32(0.0)), np.float32(columns - 1.0))
+        v = min(max(v, np.float32(0.0)), np.float32(rows - 1.0))
+    i, j = np.int32(u), np.int32(v)
+    a, b = u - np.float32(i), v - np.float32(j)
+    right = 1 if i + 1 < columns else 0
+    top = offset + j * columns + i
+    bottom = top + (columns if j + 1 < rows else 0)
+    upper = data[top] + a * (data[top + right] - data[top])
+    lower = data[bottom] + a * (data[bottom + right] - data[bottom])
+    return upper + b * (lower - upper)
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _sample(data, offsets, shapes, level, part, u, v):
-    """Intensity at texel coordinates (u, v) of level 0, between `level` and the next by `part`."""
-    scale = 1.0 / (1 << level)
-    value = _bilinear(
-        data,
-        offsets[level],
-        shapes[level, 0],
-        shapes[level, 1],
-        (u + 0.5) * scale - 0.5,
-        (v + 0.5) * scale - 0.5,
-    )
-    if part > 0.0:
-        scale *= 0.5
-        coarse = _bilinear(
-            data,
-            offsets[level + 1],
-            shapes[level + 1, 0],
-            shapes[level + 1, 1],
-            (u + 0.5) * scale - 0.5,
-            (v + 0.5) * scale - 0.5,
-        )
-        value = (1.0 - part) * value + part * coarse
-    return value
-
-
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _render_plane(
-    bearings, block_bearings, block_area, columns, H, data, offsets, shapes, clearance, image, active
+    bearings,
+    block_bearings,
+    block_area,
+    columns,
+    H,
+    data,
+    offsets,
+    shapes,
+    clearance,
+    last,
+    still_px,
+    image,
+    active,
 ):
     height, width = image.shape
-    det = abs(
-        H[0, 0] * (H[1, 1] * H[2, 2] - H[1, 2] * H[2, 1])
-        - H[0, 1] * (H[1, 0] * H[2, 2] - H[1, 2] * H[2, 0])
-        + H[0, 2] * (H[1, 0] * H[2, 1] - H[1, 1] * H[2, 0])
-    )
+    h00, h01, h02 = H[0, 0], H[0, 1], H[0, 2]
+    h10, h11, h12 = H[1, 0], H[1, 1], H[1, 2]
+    h20, h21, h22 = H[2, 0], H[2, 1], H[2, 2]
+    det = abs(h00 * (h11 * h22 - h12 * h21) - h01 * (h10 * h22 - h12 * h20) + h02 * (h10 * h21 - h11 * h20))
     top_level = len(offsets) - 1
     for block in range(len(block_area)):
-        x, y = block_bearings[block, 0]
-        w = max(H[2, 0] * x + H[2, 1] * y + H[2, 2], 1e-3)
-        uc = (H[0, 0] * x + H[0, 1] * y + H[0, 2]) / w
-        vc = (H[1, 0] * x + H[1, 1] * y + H[1, 2]) / w
+        x, y = block_bearings[block, 0, 0], block_bearings[block, 0, 1]
+        w = 1.0 / max(h20 * x + h21 * y + h22, _HORIZON)
+        uc, vc = (h00 * x + h01 * y + h02) * w, (h10 * x + h11 * y + h12) * w
         # Texels a pixel: the root of the area that it covers, |det| / w³ being the homography's Jacobian.
-        texels = np.sqrt(det * block_area[block] / (w * w * w))
+        texels = max(np.sqrt(det * block_area[block] * w * w * w), 1.0)
+        du, dv = uc - last[block, 0], vc - last[block, 1]
+        if du * du + dv * dv < (still_px * texels) ** 2:
+            active[block] = False
+            continue
+        last[block, 0], last[block, 1] = uc, vc
+        reach = 0.0
+        for i in range(1, 5):
+            x, y = block_bearings[block, i, 0], block_bearings[block, i, 1]
+            w = 1.0 / max(h20 * x + h21 * y + h22, _HORIZON)
+            u, v = (h00 * x + h01 * y + h02) * w - uc, (h10 * x + h11 * y + h12) * w - vc
+            reach = max(reach, u * u + v * v)
+        reach = np.sqrt(reach)
+        exact = min(np.log2(texels), float(top_level))
+        level = min(int(exact), top_level - 1)
+        part = np.float32(exact - level)
+        # The filter reaches one and a half texels of the coarser level; what was seen before is less than a pixel away.
+        support = 3.0 * (1 << level)
         ci = int(min(max(uc, 0.0), shapes[0, 1] - 1.0))
         cj = int(min(max(vc, 0.0), shapes[0, 0] - 1.0))
-        clear = clearance[cj, ci]
-        if clear > 8.0 * texels:
-            reach = 0.0
-            for i in range(1, 5):
-                x, y = block_bearings[block, i]
-                w = max(H[2, 0] * x + H[2, 1] * y + H[2, 2], 1e-3)
-                u = (H[0, 0] * x + H[0, 1] * y + H[0, 2]) / w - uc
-                v = (H[1, 0] * x + H[1, 1] * y + H[1, 2]) / w - vc
-                reach = max(reach, u * u + v * v)
-            # The filter reaches two texels of the coarser level (4 pixels), a step of motion one more; half as
-            # much again for the difference of scale within a tilted block.
-            if clear > 1.5 * np.sqrt(reach) + 6.0 * max(texels, 1.0):
-                active[block] = False
-                continue
+        if clearance[cj, ci] > 1.1 * reach + support + 1.5 * texels + 1.0:
+            active[block] = False
+            continue
         active[block] = True
-        exact = min(max(np.log2(max(texels, 1.0)), 0.0), float(top_level))
-        level = int(exact)
-        part = exact - level
-        if level == top_level:
-            part = 0.0
-        y0, x0 = block // columns * 8, block % columns * 8
-        for row in range(y0, min(y0 + 8, height)):
-            for column in range(x0, min(x0 + 8, width)):
+        border = reach * 1.1 + support + 1.0
+        inside = uc > border and vc > border and uc < shapes[0, 1] - border - 1 and vc < shapes[0, 0] - border - 1
+        scale = np.float32(1.0 / (1 << level))
+        shift = np.float32(0.5) * scale - np.float32(0.5)
+        half = np.float32(0.5)
+        shift2 = np.float32(0.25) * scale - np.float32(0.5)
+        offset, rows_a, columns_a = offsets[level], shapes[level, 0], shapes[level, 1]
+        offset_b, rows_b, columns_b = offsets[level + 1], shapes[level + 1, 0], shapes[level + 1, 1]
+        y0, x0 = block // columns * BLOCK, block % columns * BLOCK
+        for row in range(y0, min(y0 + BLOCK, height)):
+            for column in range(x0, min(x0 + BLOCK, width)):
                 x, y = bearings[row, column, 0], bearings[row, column, 1]
-                w = max(H[2, 0] * x + H[2, 1] * y + H[2, 2], 1e-3)
-                u = (H[0, 0] * x + H[0, 1] * y + H[0, 2]) / w
-                v = (H[1, 0] * x + H[1, 1] * y + H[1, 2]) / w
-                image[row, column] = _sample(data, offsets, shapes, level, part, u, v)
+                w = 1.0 / max(h20 * x + h21 * y + h22, _HORIZON)
+                u = np.float32((h00 * x + h01 * y + h02) * w) * scale
+                v = np.float32((h10 * x + h11 * y + h12) * w) * scale
+                fine = _bilinear(data, offset, rows_a, columns_a, u + shift, v + shift, inside)
+                coarse = _bilinear(data, offset_b, rows_b, columns_b, half * u + shift2, half * v + shift2, inside)
+                image[row, column] = fine + part * (coarse - fine)
 
 
-def render_plane(
-    grid: PixelGrid,
-    texture: Texture,
-    H_map_camera: NDArray[np.float64],
-    image: NDArray[np.float32],
-    active: NDArray[np.bool_],
-) -> None:
-    """Write the intensity seen by every pixel of the blocks that may have changed into `image`.
+class PlaneView:
+    """A camera's view of a textured plane, rendered again and again while the camera moves.
 
     Args:
         grid: of the camera.
         texture: of the plane, in metres of the map frame.
-        H_map_camera: bearing (x, y, 1) to plane coordinates (u, v, 1), with positive scale in front of the camera.
-        image: (height, width) float32, written where a block is active; the whole of it must be valid before.
-        active: (blocks,) set to True where the block was rendered. The plane must not have moved by more than a
-            pixel in the image since the last call with this image.
     """
-    _render_plane(
-        grid.bearings,
-        grid.block_bearings,
-        grid.block_area,
-        grid.columns,
-        texture.surface_to_texel @ H_map_camera,
-        texture.data,
-        texture.offsets,
-        texture.shapes,
-        texture.clearance,
-        image,
-        active,
-    )
+
+    def __init__(self, grid: PixelGrid, texture: Texture) -> None:
+        self._grid, self._texture = grid, texture
+        self._last = np.full((len(grid.block_area), 2), np.inf)
+        self._fresh = True
+
+    def render(
+        self,
+        H_map_camera: NDArray[np.float64],
+        image: NDArray[np.float32],
+        active: NDArray[np.bool_],
+        *,
+        still_px: float = 0.0,
+    ) -> None:
+        """Write the intensity seen by every pixel of the blocks that may have changed into `image`.
+
+        Args:
+            H_map_camera: bearing (x, y, 1) to plane coordinates (u, v, 1), its scale positive in front of the camera.
+            image: (height, width) float32, always the same one; written where a block is active.
+            active: (blocks,) set to True where the block was rendered. Between two calls the plane moves by less
+                than half a pixel in the image.
+            still_px: blocks that moved by less, since they were rendered, wait for a later call; 0 for none.
+        """
+        texture, grid = self._texture, self._grid
+        # Nothing is known of the image before the first call.
+        clearance = np.zeros_like(texture.clearance) if self._fresh else texture.clearance
+        self._fresh = False
+        _render_plane(
+            grid.bearings, grid.block_bearings, grid.block_area, grid.columns, texture.surface_to_texel @ H_map_camera,
+            texture.data, texture.offsets, texture.shapes, clearance, self._last, still_px, image, active,
+        )  # fmt: skip

@@ -7,7 +7,6 @@ half a pixel of image motion. Everything follows from the seed: the same call wr
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,15 +20,16 @@ from dvsviz.geometry.trajectory import Trajectory
 from dvsviz.simulate.event_camera import EventCamera, EventCameraModel
 from dvsviz.simulate.inertial import ImuModel, simulate_imu
 from dvsviz.simulate.motion import Motion, MotionName, make_motion
-from dvsviz.simulate.render import PixelGrid, render_plane
+from dvsviz.simulate.render import PixelGrid, PlaneView
 from dvsviz.simulate.scenes import PAINTERS, Bounds, Painter, SceneName
-from dvsviz.simulate.texture import Texture
 
 Array = NDArray[np.float64]
 
 # Largest image motion between two rendered images, px: an edge is a few pixels wide, so a straight line between
 # images puts events within a few hundredths of a pixel.
-STEP_PX = 0.5
+STEP_PX = 0.4
+# Parts of the image that move slower than the fastest one wait until they have moved by this much, px.
+STILL_PX = 0.3
 _LONGEST_STEP_S = 5e-3
 # Events are sorted and written in pieces of this length.
 _FLUSH_S = 0.02
@@ -83,11 +83,11 @@ def image_speed(motion: Motion, camera: Camera, plane_world: Plane | None, t_s: 
     return np.hypot(moved[..., 0] * camera.fx, moved[..., 1] * camera.fy).max(axis=1) / dt
 
 
-def step_times(speed: Array, t_s: Array, step_px: float = STEP_PX) -> Array:
-    """Return times from the first to the last of `t_s`, spaced so that the image moves at most `step_px` between."""
+def step_times(speed: Array, t_s: Array, longest_s: float = _LONGEST_STEP_S) -> Array:
+    """Return times from the first to the last of `t_s`, between which the image moves at most `STEP_PX`."""
     # The largest of neighbours: speed between two samples is not above it by more than its curvature.
     peak = np.maximum(speed, np.maximum(np.roll(speed, 1), np.roll(speed, -1)))
-    per_s = np.maximum(peak * 1.05 / step_px, 1 / _LONGEST_STEP_S)
+    per_s = np.maximum(peak * 1.05 / STEP_PX, 1 / longest_s)
     steps = np.concatenate([[0.0], np.cumsum((per_s[1:] + per_s[:-1]) / 2 * np.diff(t_s))])
     return np.interp(np.linspace(0, steps[-1], int(np.ceil(steps[-1])) + 1), steps, t_s)
 
@@ -154,29 +154,35 @@ def simulate(
     distances = plane.distance + Ts[:, :3, 3] @ plane.normal
     if distances.min() < 0.02 * distance:
         raise ValueError(f"motion: the camera comes within {distances.min():.3f} m of the wall")
-    times = step_times(image_speed(path, camera, plane, coarse_s), coarse_s)
+    sensor = EventCameraModel() if sensor is None else sensor
+    times = step_times(
+        image_speed(path, camera, plane, coarse_s), coarse_s, min(_LONGEST_STEP_S, sensor.settling_s)
+    )
     Hs = homographies(path(times), plane)
     # Two texels a pixel at the nearest: an edge's place is then good to a hundredth of a pixel.
     texel = 0.6 * float(np.percentile(distances, 5)) / max(camera.fx, camera.fy)
     texture = painter(rngs[1], visible_bounds(camera, Hs), texel)
 
     grid = PixelGrid.of(camera)
+    view = PlaneView(grid, texture)
     image = np.empty((camera.height, camera.width), np.float32)
     active = np.ones(grid.rows * grid.columns, np.bool_)
-    _render_all(grid, texture, Hs[0], image, active)
-    pixels = EventCamera(EventCameraModel() if sensor is None else sensor, image, 0.0, rngs[2])
+    view.render(Hs[0], image, active)
+    pixels = EventCamera(sensor, image, 0.0, rngs[2])
     first_us: int | None = None
     last_us = 0
     next_flush_s, next_frame_s = _FLUSH_S, 0.0
     with RecordingWriter(out, camera=camera) as writer:
         for k, t in enumerate(times):
+            frame, last = frames_hz > 0 and t >= next_frame_s, k == len(times) - 1
+            whole = frame or last or t >= next_flush_s
             if k:
-                render_plane(grid, texture, Hs[k], image, active)
+                view.render(Hs[k], image, active, still_px=0.0 if whole else STILL_PX)
                 pixels.step(image, t, active)
-            if frames_hz > 0 and t >= next_frame_s:
+            if frame:
                 writer.append_frame(round(t * 1e6), np.round(np.clip(image, 0, 1) * 255).astype(np.uint8))
                 next_frame_s += 1 / frames_hz
-            if t >= next_flush_s or k == len(times) - 1:
+            if last or t >= next_flush_s:
                 events = pixels.flush(image, t)
                 if len(events):
                     first_us = int(events.t_us[0]) if first_us is None else first_us
@@ -192,13 +198,6 @@ def simulate(
         writer.set_plane(
             mean_plane_distance=float(distances.mean()), normal_world=plane.normal, distance_world=plane.distance
         )
-
-
-def _render_all(
-    grid: PixelGrid, texture: Texture, H: Array, image: NDArray[np.float32], active: NDArray[np.bool_]
-) -> None:
-    """Render every block, those of one intensity too."""
-    render_plane(grid, replace(texture, clearance=np.zeros_like(texture.clearance)), H, image, active)
 
 
 def _truth(motion: Motion, first_us: int, last_us: int) -> Trajectory:
