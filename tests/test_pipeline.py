@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import threading
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -105,7 +106,7 @@ def test_progress_is_told_after_each_window(whole: tuple[Path, dict, list[Progre
     _, summary, told = whole
     assert [p.window for p in told] == list(range(summary["windows"]))
     assert told[-1].share == 1
-    assert all(a.share < b.share for a, b in zip(told, told[1:], strict=False))
+    assert all(a.share < b.share for a, b in pairwise(told))
     assert told[-1].recording_s == pytest.approx(summary["duration_s"], abs=1e-3)
     assert all(p.events_per_second > 0 and p.real_time_factor > 0 for p in told)
 
@@ -162,7 +163,7 @@ def test_existing_session_is_kept_unless_forced(recording: Recording, tmp_path: 
     out = tmp_path / "wall.h5"
     stopped(recording, out, 3)
     before = out.read_bytes()
-    with pytest.raises(SessionError, match="already exists.*--force"):
+    with pytest.raises(SessionError, match=r"already exists.*--force"):
         track(recording, TrackerConfig(), out)
     assert out.read_bytes() == before
     cancel = threading.Event()
@@ -190,7 +191,7 @@ def test_resume_refuses_other_settings_and_other_recordings(recording: Recording
         track(recording, TrackerConfig(motion="rotation"), out, resume=True)
     short = tmp_path / "short.h5"
     simulate(short, seconds=0.2, seed=2)
-    with pytest.raises(SessionError, match="is a session of .*wall.h5"):
+    with pytest.raises(SessionError, match=r"is a session of .*wall\.h5"):
         track(open_recording(short), None, out, resume=True)
     with pytest.raises(SessionError, match="no such session"):
         track(recording, None, tmp_path / "none.h5", resume=True)

@@ -7,16 +7,17 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from dvsviz import pipeline
 from dvsviz.cli.arguments import Batch, Track, Tracking
 from dvsviz.cli.console import Interrupts, note, print_fields, print_json, read_recording, sessions_folder
 from dvsviz.config import TrackerConfig
 from dvsviz.errors import ConfigError, DvsvizError, RunCancelled, SessionError
-from dvsviz.evaluate.evaluate import Evaluation
-from dvsviz.evaluate.tables import evaluation_table, figure, table
-from dvsviz.session.store import open_session
+
+if TYPE_CHECKING:
+    from dvsviz.pipeline import Progress
+
+# The tracker is imported after the recording was read: what is wrong with a file is said without waiting for it.
 
 _SHOW_EVERY_S = 0.1
 
@@ -29,6 +30,8 @@ def track(command: Track) -> int:
         raise ConfigError("--resume continues a session and --force replaces it", hint="say one of them")
     if command.rerun is not None and command.rerun.exists() and not command.force:
         raise SessionError("already exists", path=command.rerun, hint="replace it with --force")
+    from dvsviz import pipeline
+
     with Interrupts() as interrupts, _bar(out.stem, interrupts) as show:
         summary = pipeline.track(
             recording,
@@ -60,6 +63,8 @@ def batch(command: Batch) -> int:
             if out in taken:
                 raise SessionError("is the session of another recording of this batch", path=out, hint="rename one")
             taken.add(out)
+            from dvsviz import pipeline
+
             with Interrupts() as interrupts, _bar(out.stem, interrupts) as show:
                 runs.append(
                     pipeline.track(
@@ -86,6 +91,8 @@ def _config(command: Tracking) -> TrackerConfig:
 
 def _resumed_config(command: Track, out: Path) -> TrackerConfig | None:
     """Return the session's own settings with those that were said; a difference is refused by the pipeline."""
+    from dvsviz.session.store import open_session
+
     with open_session(out) as session:
         stored = TrackerConfig.from_json(session.header.config_json)
     return TrackerConfig(
@@ -98,13 +105,14 @@ def _resumed_config(command: Track, out: Path) -> TrackerConfig | None:
 
 
 @contextmanager
-def _bar(name: str, interrupts: Interrupts) -> Iterator[Callable[[pipeline.Progress], None]]:
+def _bar(name: str, interrupts: Interrupts) -> Iterator[Callable[[Progress], None]]:
     """Give the progress callback of a run: a bar on a terminal, and the point from which Ctrl-C waits for a window."""
     if not sys.stderr.isatty():
         yield lambda progress: interrupts.begin()
         return
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bars
 
     columns = (
         TextColumn("{task.description}"),
@@ -113,11 +121,11 @@ def _bar(name: str, interrupts: Interrupts) -> Iterator[Callable[[pipeline.Progr
         TextColumn("{task.fields[state]}"),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    with Bars(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(name, total=1.0, state="preparing")
         shown = 0.0
 
-        def show(progress: pipeline.Progress) -> None:
+        def show(progress: Progress) -> None:
             nonlocal shown
             interrupts.begin()
             now = time.monotonic()
@@ -147,11 +155,16 @@ def _print_summary(summary: dict[str, Any]) -> None:
         }
     )
     if summary["evaluation"] is not None:
+        from dvsviz.evaluate.evaluate import Evaluation
+        from dvsviz.evaluate.tables import evaluation_table
+
         print(f"\n{evaluation_table(Evaluation(**summary['evaluation']))}")
 
 
 def _table(runs: list[dict[str, Any]]) -> str:
     """Return one row a run."""
+    from dvsviz.evaluate.tables import figure, table
+
     columns = (
         "session",
         "windows",
