@@ -2,11 +2,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import session_samples as samples
 
-from dvsviz.errors import FormatError
+from dvsviz.errors import FormatError, SessionError
+from dvsviz.export.tum import export_tum
 from dvsviz.geometry import se3
 from dvsviz.geometry.trajectory import Trajectory
 from dvsviz.geometry.tum import microseconds, read_tum, seconds_text, write_tum
+from dvsviz.session.store import Poses, SessionWriter, open_session
 
 UNIX_US = 1_700_000_000_123_457
 
@@ -91,3 +94,26 @@ def test_a_missing_and_a_binary_file_are_refused(tmp_path: Path) -> None:
 def test_writing_into_a_missing_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="cannot be written"):
         write_tum(tmp_path / "none" / "a.tum", _trajectory())
+
+
+@pytest.mark.parametrize("poses", ["refined", "online"])
+def test_a_session_is_written_without_its_lost_windows(tmp_path: Path, poses: Poses) -> None:
+    windows = 60
+    with SessionWriter.create(tmp_path / "s.h5", samples.header()) as writer:
+        for k in range(windows):
+            writer.append(samples.result(k), samples.updates(k))
+    session = open_session(tmp_path / "s.h5")
+    kept = [k for k in range(windows) if samples.status(k) not in ("lost", "relocalizing")]
+    assert export_tum(session, tmp_path / "a.tum", poses) == len(kept) == windows - 2
+    back = read_tum(tmp_path / "a.tum")
+    assert back.t_us.tolist() == [samples.result(k).start_us for k in kept]
+    wanted = [samples.refined_pose(k, windows) if poses == "refined" else samples.pose(k) for k in kept]
+    np.testing.assert_allclose(back.Ts_world_camera, wanted, atol=5e-9)
+    assert (tmp_path / "a.tum").read_text().startswith("1700000000.000000 ")
+
+
+def test_a_session_without_a_pose_is_refused(tmp_path: Path) -> None:
+    SessionWriter.create(tmp_path / "s.h5", samples.header()).close()
+    with pytest.raises(SessionError, match="no window has a pose"):
+        export_tum(open_session(tmp_path / "s.h5"), tmp_path / "a.tum")
+    assert not (tmp_path / "a.tum").exists()
