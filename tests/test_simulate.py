@@ -105,7 +105,7 @@ def test_distorted_lens_keeps_the_truth(tmp_path: Path) -> None:
 
 
 def test_edge_is_rendered_where_it_projects() -> None:
-    """A slanted edge crosses half intensity where geometry says, to a few hundredths of a pixel."""
+    """A slanted edge is where geometry says: to two hundredths of a pixel on average, a tenth in each row."""
     bounds, texel = (-1.0, -0.8, 1.0, 0.8), 0.6 / 80
     paper = blank(bounds, texel, 0.8)
     fill_polygon(paper, [(-2, -3), (0.0, -3), (0.3, 3), (-2, 3)], 0.2, left=-1.0, top=-0.8, texel=texel)
@@ -114,13 +114,15 @@ def test_edge_is_rendered_where_it_projects() -> None:
     image, active = np.zeros((60, 90), np.float32), np.ones(15 * 23, bool)
     for scale in (0.7, 1.0, 1.7):
         view.render(np.diag([scale, scale, 1.0]), image, active)
-        for row in (5, 30, 50):
+        errors = []
+        for row in range(60):
             v = (row - SMALL.cy) / SMALL.fy * scale
             column = (0.15 + v * 0.05) / scale * SMALL.fx + SMALL.cx
-            line = image[row].astype(float)
-            k = int(np.flatnonzero(line > 0.5)[0])
-            found = k - 1 + (0.5 - line[k - 1]) / (line[k] - line[k - 1])
-            assert abs(found - column) < 0.05
+            # The dark area of the row ends at the edge, whatever the blur.
+            dark = (0.8 - image[row].astype(float)).sum() / 0.6
+            errors.append(dark - 0.5 - column)
+        assert abs(np.mean(errors)) < 0.02
+        assert np.abs(errors).max() < 0.1
 
 
 def test_blocks_left_alone_would_not_have_changed(tmp_path: Path) -> None:
