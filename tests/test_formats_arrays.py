@@ -61,7 +61,7 @@ def test_seconds_as_floats(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arrays", "message"),
     [
-        ({"t": T, "x": X, "y": Y}, "no column p among t, x, y"),
+        ({"t": T, "x": X, "y": Y}, "no columns t, x, y, p among t, x, y"),
         ({"t": T, "x": X, "y": Y, "p": P[:2]}, "differ in size"),
         ({"t": T[::-1].copy(), "x": X, "y": Y, "p": P}, "event 1: time runs backwards"),
         ({"t": T, "x": X + 1, "y": Y, "p": P}, r"event 1: pixel \(240, 179\) lies outside"),

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from dvsviz.errors import FormatError
 from dvsviz.formats.calibration import parse_calibration
+from dvsviz.formats.columns import Columns, find_names, tell_order
 from dvsviz.formats.container import Container, Zip
 from dvsviz.formats.sink import RecordingSink
 from dvsviz.formats.sizes import assumption, require_size
@@ -21,15 +22,7 @@ from dvsviz.formats.uzh import DEFAULT_SIZE
 from dvsviz.geometry.camera import Camera
 
 _BLOCK = 1 << 19
-_NAMES = {
-    "t": ("t_us", "t", "ts", "timestamp", "timestamps", "time"),
-    "x": ("x", "x_px", "xs", "col"),
-    "y": ("y", "y_px", "ys", "row"),
-    "p": ("p", "pol", "polarity", "polarities", "ps", "is_positive", "on"),
-}
 _MAX_EVENTS = 1 << 40
-
-Columns = tuple[NDArray, NDArray, NDArray, NDArray]
 
 
 class _Array:
@@ -73,11 +66,12 @@ def convert_npz(container: Zip, sink: RecordingSink, *, beside: Container | None
         FormatError: a column is missing, differs in length or is damaged, or the sensor's size is not known.
     """
     names = {name.removesuffix(".npy"): name for name in container.names if name.endswith(".npy")}
-    columns = {c: next((names[n] for n in known if n in names), None) for c, known in _NAMES.items()}
-    if all(columns.values()):
+    columns = find_names(names)
+    if columns is not None:
+        found = [names[column] for column in columns]
 
         def blocks() -> Iterator[tuple[float, Columns]]:
-            return _column_blocks(container, {c: name for c, name in columns.items() if name is not None})
+            return _column_blocks(container, found)
     elif len(names) == 1:
         name = next(iter(names.values()))
 
@@ -85,8 +79,7 @@ def convert_npz(container: Zip, sink: RecordingSink, *, beside: Container | None
             with container.open(name) as file:
                 yield from _row_blocks(_Array(file, container.where(name)), container.where(name))
     else:
-        missing = ", ".join(c for c, name in columns.items() if name is None)
-        _refuse(f"no column {missing} among {', '.join(names) or 'no arrays'}", container.path)
+        _refuse(f"no columns t, x, y, p among {', '.join(names) or 'no arrays'}", container.path)
     _convert(blocks, container.path, sink, beside)
 
 
@@ -100,12 +93,9 @@ def convert_npy(path: Path, sink: RecordingSink) -> None:
     _convert(blocks, path, sink, None)
 
 
-def _column_blocks(container: Container, names: dict[str, str]) -> Iterator[tuple[float, Columns]]:
+def _column_blocks(container: Container, names: list[str]) -> Iterator[tuple[float, Columns]]:
     with ExitStack() as stack:
-        arrays = [
-            _Array(stack.enter_context(container.open(names[c])), container.where(names[c]))
-            for c in ("t", "x", "y", "p")
-        ]
+        arrays = [_Array(stack.enter_context(container.open(name)), container.where(name)) for name in names]
         sizes = [array.shape for array in arrays]
         if any(len(size) != 1 or size != sizes[0] for size in sizes):
             _refuse(f"t, x, y, p differ in size: {', '.join(map(str, sizes))}", container.path)
@@ -121,28 +111,15 @@ def _row_blocks(array: _Array, path: Path) -> Iterator[tuple[float, Columns]]:
     if fields is None and (len(array.shape) != 2 or array.shape[1] != 4 or array.fortran):
         _refuse(f"expected fields t, x, y, p or an (N, 4) array, got {array.shape} {array.dtype}", path)
     n = array.shape[0]
-    order: list[int | str] = [0, 1, 2, 3]
-    if fields is not None:
-        found = [next((name for name in known if name in fields), None) for known in _NAMES.values()]
-        if None in found:
-            _refuse(f"expected fields t, x, y, p, got {', '.join(fields)}", path)
-        order = [name for name in found if name is not None]
+    order: tuple[int | str, ...] | None = None
+    if fields is not None and (order := find_names(fields)) is None:
+        _refuse(f"expected fields t, x, y, p, got {', '.join(fields)}", path)
     for first in range(0, n, _BLOCK):
         rows = array.block(min(_BLOCK, n - first))
-        if fields is None and first == 0:
-            order = _column_order(rows, path)
+        if order is None and (order := tell_order(rows)) is None:
+            _refuse("the columns are neither t x y p, x y t p nor x y p t", path)
         t, x, y, p = (rows[key] if isinstance(key, str) else rows[:, key] for key in order)
         yield (first + len(rows)) / n, (t, x, y, p)
-
-
-def _column_order(rows: NDArray, path: Path) -> list[int | str]:
-    """Tell the columns of an (N, 4) array by their values: polarity is the last, time the one that never falls."""
-    for order in ((0, 1, 2, 3), (2, 0, 1, 3), (3, 0, 1, 2)):
-        t, x, y, p = (rows[:, k] for k in order)
-        small = max(abs(x).max(), abs(y).max()) < 65_536 and set(np.unique(p).tolist()) <= {-1, 0, 1}
-        if small and np.all(t[1:] >= t[:-1]):
-            return list(order)
-    _refuse("the columns are neither t x y p, x y t p nor x y p t", path)
 
 
 def _convert(blocks, path: Path, sink: RecordingSink, beside: Container | None) -> None:

@@ -11,7 +11,7 @@ import h5py
 
 from dvsviz.errors import FormatError
 from dvsviz.events.recording import Recording
-from dvsviz.formats import aedat4, prophesee
+from dvsviz.formats import aedat2, aedat4, event_stream, matlab, prophesee, ros
 from dvsviz.formats.arrays import convert_npy, convert_npz
 from dvsviz.formats.cache import cached
 from dvsviz.formats.calibration import read_calibration
@@ -87,10 +87,14 @@ def _open_folder(path: Path, options: OpenOptions) -> Recording:
     if folder.has("events.npz"):
         files = [path / "events.npz", path / "calib.txt"]
         return _converted(path, files, options, "npz", lambda sink: _npz(path / "events.npz", sink, folder))
+    bag = [child for child in sorted(path.iterdir()) if child.suffix in (".db3", ".mcap")]
+    if bag:
+        files = [*bag, path / "metadata.yaml"]
+        return _converted(path, files, options, ros.FORMAT_NAME, lambda sink: ros.convert_ros(path, sink))
     inside = [child for child in path.iterdir() if child.is_dir() and Folder(child).has("events.txt")]
     if len(inside) == 1:
         return _open_folder(inside[0], options)
-    hint = "expected events.txt (Event Camera Dataset) or events.npz inside"
+    hint = "expected events.txt (Event Camera Dataset), events.npz or a ROS 2 bag inside"
     raise FormatError("no recording in this folder", path=path, hint=hint)
 
 
@@ -107,6 +111,15 @@ def _open_file(path: Path, options: OpenOptions) -> Recording:
         return _converted(path, [path], options, "npy", lambda sink: convert_npy(path, sink))
     if head.startswith(aedat4.MAGIC):
         return _converted(path, [path], options, aedat4.FORMAT_NAME, lambda sink: aedat4.convert_aedat4(path, sink))
+    if head.startswith((ros.ROS1_MAGIC, ros.MCAP_MAGIC, ros.SQLITE_MAGIC)):
+        return _converted(path, [path], options, ros.FORMAT_NAME, lambda sink: ros.convert_ros(path, sink))
+    if head.startswith(aedat2.MAGIC):
+        return _converted(path, [path], options, aedat2.FORMAT_NAME, lambda sink: aedat2.convert_aedat2(path, sink))
+    if head.startswith(matlab.MAGIC):
+        return _converted(path, [path], options, matlab.FORMAT_NAME, lambda sink: matlab.convert_mat(path, sink))
+    if head.startswith(event_stream.MAGIC):
+        name = event_stream.FORMAT_NAME
+        return _converted(path, [path], options, name, lambda sink: event_stream.convert_event_stream(path, sink))
     if (header := prophesee.read_header(head)) is not None:
         name = f"Prophesee {header.encoding}"
         return _converted(path, [path], options, name, lambda sink: prophesee.convert_prophesee(path, header, sink))
