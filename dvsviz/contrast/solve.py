@@ -100,6 +100,7 @@ def maximize_contrast(
     name: ObjectiveName = "variance",
     blurs_px: tuple[float, ...] = _BLURS_PX,
     max_evaluations: int = 60,
+    ridge: float = 0.0,
 ) -> ContrastSolution:
     """Return the motion that maximises the contrast, coarse to fine, by L-BFGS on scaled parameters.
 
@@ -113,6 +114,8 @@ def maximize_contrast(
         name: the objective.
         blurs_px: Gaussian blurs of the stages.
         max_evaluations: limit a stage.
+        ridge: penalty of the motion per squared px of displacement, in units of the contrast without motion: decides
+            between motions that look alike (rotation about y, motion along x) in favour of the smaller one.
     """
     mask = np.ones(6, dtype=bool) if free is None else np.asarray(free, dtype=bool)
     x = np.concatenate([np.zeros(3) if omega is None else omega, np.zeros(3) if velocity is None else velocity])
@@ -143,7 +146,9 @@ def maximize_contrast(
                 d_normal=turn_normal_derivative(normal, delta) if with_normal else None,
             )
             slope = np.concatenate([slope[:6][mask] * scale[mask], slope[6:] * _NORMAL_SCALE])
-            return -value / reference, -slope / reference
+            motion = trial[mask] / scale[mask]
+            slope[:count] -= 2 * ridge * reference * motion
+            return -value / reference + ridge * float(motion @ motion), -slope / reference
 
         found = minimize(
             negative,

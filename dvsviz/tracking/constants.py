@@ -54,7 +54,7 @@ OVERLAP_KEYFRAME: Final = 0.8
 OVERLAP_EDGE: Final = 0.3
 
 # --- refinement ---------------------------------------------------------------------------------------------
-REFINE_ROUNDS: Final = 7
+REFINE_ROUNDS: Final = 12
 # Gate on an event's distance to its edge, map px, first and last round.
 REFINE_GATE_START_PX: Final = 5.0
 REFINE_GATE_END_PX: Final = 2.0
@@ -67,10 +67,20 @@ REFINE_LANDMARKS: Final = 3_000
 # Events of a view that a landmark needs, and the number beyond which more add no weight (they are correlated).
 REFINE_MIN_EVENTS: Final = 2
 REFINE_MAX_EVENTS: Final = 8
-# Damping of every parameter, in observations of one px.
-REFINE_DAMPING: Final = 1e-3
+# Standard deviations of the start that a refinement leaves only for good reason: pose (rad, plane distances) and normal
+# (rad). They decide where the texture does not: the first second hardly tells motion along x from rotation about y.
+REFINE_PRIOR_POSE: Final = 0.05
+REFINE_PRIOR_NORMAL_RAD: Final = 0.25
+# Variance of an observation, px², and how many neighbouring observations share one error.
+REFINE_VARIANCE_PX2: Final = 0.25
+REFINE_CORRELATED: Final = 50.0
+# Largest step (rad, plane distances) below which the rounds end early.
+REFINE_STEP: Final = 2e-4
 # Keyframe counts at which all keyframes are refined together: each about 1.5 times the last.
 REFINE_AT: Final = (5, 8, 12, 18, 27, 40, 60, 90)
+# Image motion among the keyframes, as a share of the width, without which nothing is refined: over a smaller one the
+# plane's tilt, turning and moving sideways look alike, and a refinement only wanders.
+REFINE_SPREAD: Final = 0.2
 # Most keyframes in one refinement: evenly thinned beyond.
 REFINE_MAX_VIEWS: Final = 90
 
@@ -79,6 +89,8 @@ REFINE_MAX_VIEWS: Final = 90
 KEYFRAME_DISPLACEMENT: Final = 0.12
 # Seconds after which the next well-tracked window becomes a keyframe in any case.
 KEYFRAME_SECONDS: Final = 0.5
+# Keyframes after which the two limits above hold in full; before, they grow from a fifth.
+KEYFRAME_SETTLED: Final = 16
 # Events of a window that are kept for the map and for refinement.
 TRACE_EVENTS: Final = 3_000
 
@@ -100,6 +112,9 @@ REVISION_KEYFRAMES: Final = 4
 # --- motion and judgement -----------------------------------------------------------------------------------
 # Share of a measured change of velocity that is believed.
 VELOCITY_GAIN: Final = 0.6
+# Penalty of a window's motion by contrast alone, per squared px of displacement, in units of its contrast: it decides
+# only between motions that look alike.
+CONTRAST_RIDGE: Final = 1e-3
 # Events used for a motion by contrast alone, and for a window's images.
 CONTRAST_EVENTS: Final = 8_000
 MEASURE_EVENTS: Final = 8_000

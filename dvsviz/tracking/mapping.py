@@ -107,9 +107,11 @@ class Mapper:
         if not anchors:
             return True
         since_s = (trace.mid_us - anchors[-1].mid_us) * 1e-6
-        if since_s >= c.KEYFRAME_SECONDS:
+        # The first keyframes lie close together: the first refinements repair the start.
+        grown = min(1.0, len(anchors) / c.KEYFRAME_SETTLED)
+        if since_s >= c.KEYFRAME_SECONDS * max(grown, 0.2):
             return True
-        limit = c.KEYFRAME_DISPLACEMENT * self.camera.width
+        limit = c.KEYFRAME_DISPLACEMENT * self.camera.width * max(grown, 0.2)
         moved = min(self._view_change_px(trace, a) for a in anchors[-c.KEYFRAME_COMPARE :])
         return moved > limit or (overlap < c.OVERLAP_KEYFRAME and moved > 0.3 * limit)
 
@@ -134,7 +136,18 @@ class Mapper:
     def due(self) -> bool:
         """Return whether enough keyframes were added for the next refinement."""
         count = len(self.keyframes)
-        return any(self.tried_at < at <= count for at in c.REFINE_AT)
+        return (
+            any(self.tried_at < at <= count for at in c.REFINE_AT) and self._spread_px() >= self._wanted_spread_px
+        )
+
+    @property
+    def _wanted_spread_px(self) -> float:
+        return c.REFINE_SPREAD * self.camera.width
+
+    def _spread_px(self) -> float:
+        """Return how far (px) the image moved between the first keyframe and the one farthest from it."""
+        anchors = [t for t in self.traces if t.keyframe >= 0]
+        return max((self._view_change_px(anchors[0], a) for a in anchors), default=0.0)
 
     def refine(self, trace: Trace) -> Trace:
         """Refine all keyframes and return the given trace re-expressed."""
@@ -148,7 +161,7 @@ class Mapper:
         """Refine once more with everything that was seen, and publish the last map."""
         if self.map is None or not self.traces:
             return
-        if len(self.keyframes) >= 3:
+        if len(self.keyframes) >= c.REFINE_AT[0] and self._spread_px() >= self._wanted_spread_px:
             self._refine(final=True)
         self._publish(self.traces[-1].window)
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvsviz.geometry import se3
-from dvsviz.geometry.plane import Plane, rotation_to_map, turn_normal, turn_normal_derivative
+from dvsviz.geometry.plane import Plane, rotation_to_map, tangent_basis, turn_normal, turn_normal_derivative
 from dvsviz.tracking import constants as c
 from dvsviz.tracking.planar_map import occupied_percentile
 
@@ -96,15 +96,20 @@ def refine(
     Ts = np.stack([v.T_world_camera for v in views])
     train = [np.ascontiguousarray(v.bearings[0::2]) for v in views]
     test = [np.ascontiguousarray(v.bearings[1::2]) for v in views]
+    start = (Ts, plane)
     before = disagreement(test, Ts, plane, px_per_unit)
-    gates = np.geomspace(c.REFINE_GATE_START_PX, c.REFINE_GATE_END_PX, rounds)
+    # The gate closes over the first rounds; the rest converge with it closed.
+    gates = np.geomspace(c.REFINE_GATE_START_PX, c.REFINE_GATE_END_PX, 4)
     residual, landmarks, done = float("nan"), 0, 0
-    for gate in gates:
-        step = _round(train, Ts, plane, px_per_unit, float(gate), free, solve_normal, held)
+    for i in range(rounds):
+        gate = float(gates[min(i, 3)])
+        step = _round(train, Ts, plane, start, px_per_unit, gate, free, solve_normal, held)
         if step is None:
             break
-        Ts, plane, residual, landmarks = step
+        Ts, plane, residual, landmarks, size = step
         done += 1
+        if i >= 4 and size < c.REFINE_STEP:
+            break
     return Refinement(
         Ts_world_camera=Ts,
         plane=plane,
@@ -220,12 +225,13 @@ def _round(
     bearings: list[Array],
     Ts: Array,
     plane: Plane,
+    start: tuple[Array, Plane],
     scale: float,
     gate: float,
     free: NDArray[np.bool_],
     solve_normal: bool,
     held: int,
-) -> tuple[Array, Plane, float, int] | None:
+) -> tuple[Array, Plane, float, int, float] | None:
     R_map_world = rotation_to_map(plane.normal)
     cells = [_to_cells(b, T, plane, R_map_world, scale) for b, T in zip(bearings, Ts, strict=True)]
     low, shape = _bounds(cells)
@@ -270,9 +276,11 @@ def _round(
     fixed[: 6 * held] = True
     fixed[:-2] |= np.tile(~free, K)
     fixed[-2:] = not solve_normal
-    # Views without support stay where they are; a little damping (in px of image motion) keeps weak directions quiet.
-    damping = np.full(size, c.REFINE_DAMPING * scale * scale)
-    A[np.diag_indices(size)] += damping
+    strength = c.REFINE_CORRELATED * c.REFINE_VARIANCE_PX2
+    prior = np.full(size, strength / c.REFINE_PRIOR_POSE**2)
+    prior[-2:] = strength / c.REFINE_PRIOR_NORMAL_RAD**2
+    A[np.diag_indices(size)] += prior
+    g += prior * _offset(start, Ts, plane)
     live = ~fixed
     x = np.zeros(size)
     x[live] = _solve_positive(A[np.ix_(live, live)], -g[live])
@@ -287,7 +295,16 @@ def _round(
         Ts[k, :3, :3] = R @ se3.exp_so3(dx[:3])
     plane = Plane(normal=turn_normal(plane.normal, x[-2:]), distance=plane.distance)
     rms = float(np.sqrt(np.average(residual**2, weights=weight)))
-    return Ts, plane, rms, L
+    return Ts, plane, rms, L, float(limit)
+
+
+def _offset(start: tuple[Array, Plane], Ts: Array, plane: Plane) -> Array:
+    """Return how far (6 K + 2,) poses and normal have moved from the start, in the current tangent spaces."""
+    R = Ts[:, :3, :3]
+    R_start_now = np.swapaxes(start[0][:, :3, :3], 1, 2) @ R
+    shift = np.einsum("kji,kj->ki", R, Ts[:, :3, 3] - start[0][:, :3, 3])
+    tilt = tangent_basis(plane.normal).T @ (plane.normal - start[1].normal)
+    return np.concatenate([np.concatenate([se3.log_so3(R_start_now), shift], axis=1).ravel(), tilt])
 
 
 def _jacobian(

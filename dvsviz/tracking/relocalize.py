@@ -108,6 +108,8 @@ def _candidates(
     image = np.zeros((rows, cols), dtype=np.float32)
     cell = (px / k).astype(np.int64)
     ok = (cell[:, 0] >= 0) & (cell[:, 1] >= 0) & (cell[:, 0] < cols) & (cell[:, 1] < rows)
+    if not ok.any():
+        return []
     np.add.at(image, (cell[ok, 1], cell[ok, 0]), 1.0)
     image = np.minimum(image / max(1e-6, float(np.percentile(image[image > 0], 70))), 1.0).astype(np.float32)
     centre = (camera.cx / k, camera.cy / k)

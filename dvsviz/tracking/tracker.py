@@ -191,7 +191,7 @@ class Tracker:
         plane = self._mapper.plane.seen_from(self._motion.T_world_camera)
         if plane.distance < 0.05:
             plane = Plane(normal=_AHEAD)
-        return maximize_contrast(problem, plane, free=self._free)
+        return maximize_contrast(problem, plane, free=self._free, ridge=c.CONTRAST_RIDGE)
 
     def _start(self, window: EventWindow, sampled: tuple[NDArray[np.float32], Array], mid_us: int) -> Trace:
         """Return the first window's trace: its pose is the identity, its motion found by contrast alone."""
