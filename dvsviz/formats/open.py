@@ -11,7 +11,7 @@ import h5py
 
 from dvsviz.errors import FormatError
 from dvsviz.events.recording import Recording
-from dvsviz.formats import aedat2, aedat4, event_stream, matlab, prophesee, ros
+from dvsviz.formats import aedat2, aedat3, aedat4, event_stream, hdf5_foreign, matlab, prophesee, ros
 from dvsviz.formats.arrays import convert_npy, convert_npz
 from dvsviz.formats.cache import cached
 from dvsviz.formats.calibration import read_calibration
@@ -109,6 +109,8 @@ def _open_file(path: Path, options: OpenOptions) -> Recording:
         return _open_zip(path, options)
     if head.startswith(_NPY_MAGIC):
         return _converted(path, [path], options, "npy", lambda sink: convert_npy(path, sink))
+    if head.startswith(aedat3.MAGIC):
+        return _converted(path, [path], options, aedat3.FORMAT_NAME, lambda sink: aedat3.convert_aedat3(path, sink))
     if head.startswith(aedat4.MAGIC):
         return _converted(path, [path], options, aedat4.FORMAT_NAME, lambda sink: aedat4.convert_aedat4(path, sink))
     if head.startswith((ros.ROS1_MAGIC, ros.MCAP_MAGIC, ros.SQLITE_MAGIC)):
@@ -147,12 +149,33 @@ def _is_text_events(head: bytes) -> bool:
 def _open_hdf5(path: Path, options: OpenOptions) -> Recording:
     try:
         with h5py.File(path, "r") as file:
-            own = "format" in file.attrs or "events" not in file
-    except OSError as error:
+            own, kind = "format" in file.attrs, hdf5_foreign.layout(file)
+    except (OSError, RuntimeError, KeyError) as error:
         raise FormatError("a damaged HDF5 file", path=path, hint="copy it again") from error
-    if own:
-        return read_recording(path)
-    _refuse_unknown(path)
+    if own or kind is None:
+        try:
+            recording = read_recording(path)
+            if not options.repair:
+                return _resized(recording, options)
+            # Repair needs all events looked at, not only those of the first blocks.
+            for _ in recording.chunks():
+                pass
+            return _resized(recording, options)
+        except FormatError:
+            if not options.repair or kind is None:
+                raise
+    name = kind or hdf5_foreign.FORMAT_NAME
+    return _converted(path, [path], options, name, lambda sink: hdf5_foreign.convert_hdf5(path, sink))
+
+
+def _resized(recording: Recording, options: OpenOptions) -> Recording:
+    """Check that the size the user gave is that of the file."""
+    camera = recording.camera
+    if options.size is not None and options.size != (camera.width, camera.height):
+        given = f"{options.size[0]}x{options.size[1]}"
+        message = f"the sensor is {camera.width}x{camera.height}, not {given}"
+        raise FormatError(message, path=recording.path, hint="leave --size out")
+    return recording
 
 
 def _open_zip(path: Path, options: OpenOptions) -> Recording:

@@ -17,8 +17,11 @@ from dvsviz.formats.prophesee import EvtDecoder
 Columns = tuple[NDArray[np.int64], NDArray, NDArray, NDArray[np.bool_]]
 
 _ROS1_EVENT = np.dtype([("x", "<u2"), ("y", "<u2"), ("sec", "<u4"), ("nsec", "<u4"), ("p", "?")])
-_CDR_EVENT = np.dtype({"names": list("xysnp"), "formats": ["<u2", "<u2", "<u4", "<u4", "?"],
-                       "offsets": [0, 2, 4, 8, 12], "itemsize": 16})  # fmt: skip
+# CDR aligns each value to its own size, and 13 bytes of event to 2: times and polarity lie 16 bytes apart from the
+# first event on, the pixel of the k-th event at 16 k - 2 but for the first, at 0.
+_CDR_EVENT = np.dtype(
+    {"names": ["sec", "nsec", "p"], "formats": ["<u4", "<u4", "?"], "offsets": [4, 8, 12], "itemsize": 16}
+)
 
 
 def microseconds_of(nanoseconds: Any) -> Any:
@@ -49,10 +52,16 @@ def parse_event_array(raw: bytes | memoryview, *, is_ros1: bool) -> tuple[tuple[
     if count and at + count * kind.itemsize - (0 if is_ros1 else 3) > len(data):
         raise ValueError(f"{count} events announced, fewer are there")
     missing = max(0, at + count * kind.itemsize - len(data))
-    rows = np.frombuffer(data + bytes(missing), kind, count, at)
-    sec, nsec = (rows["sec"], rows["nsec"]) if is_ros1 else (rows["s"], rows["n"])
-    t = sec.astype(np.int64) * 1_000_000 + microseconds_of(nsec.astype(np.int64))
-    return (width, height), (t, rows["x"], rows["y"], rows["p"].view(np.uint8) > 0)
+    data += bytes(missing)
+    rows = np.frombuffer(data, kind, count, at)
+    t = rows["sec"].astype(np.int64) * 1_000_000 + microseconds_of(rows["nsec"].astype(np.int64))
+    if is_ros1:
+        x, y = rows["x"], rows["y"]
+    else:
+        pairs = np.frombuffer(data, "<u2", 8 * count, at)
+        x, y = np.roll(pairs, 1)[::8].copy(), pairs[::8].copy()
+        x[:1], y[:1] = pairs[:1], pairs[1:2]
+    return (width, height), (t, x, y, rows["p"].view(np.uint8) > 0)
 
 
 class PacketDecoder:

@@ -1,0 +1,242 @@
+"""Layouts without a real file here: written by independent means, read back."""
+
+import struct
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from dvsviz.errors import FormatError
+from dvsviz.events.events import Events
+from dvsviz.formats.open import open_recording
+
+W, H = 240, 180
+
+
+@pytest.fixture
+def events(request: pytest.FixtureRequest) -> Events:
+    rng = np.random.default_rng(5)
+    n = 5000
+    x, y = rng.integers(0, W, n), rng.integers(0, H, n)
+    x[0], y[0] = W - 1, H - 1
+    return Events(
+        t_us=np.sort(rng.integers(0, 2_000_000, n)).astype(np.int64),
+        x_px=x.astype(np.uint16),
+        y_px=y.astype(np.uint16),
+        is_positive=rng.integers(0, 2, n).astype(bool),
+    )
+
+
+def assert_read(path: Path, events: Events, later_us: int = 0, **options) -> tuple[str, ...]:
+    recording = open_recording(path, **options)
+    found = recording.events.read(0, recording.events.count)
+    np.testing.assert_array_equal(found.t_us, events.t_us + later_us)
+    np.testing.assert_array_equal(found.x_px, events.x_px)
+    np.testing.assert_array_equal(found.y_px, events.y_px)
+    np.testing.assert_array_equal(found.is_positive, events.is_positive)
+    return (recording.format, *recording.warnings)
+
+
+def test_dsec(tmp_path: Path, events: Events) -> None:
+    with h5py.File(tmp_path / "events.h5", "w") as file:
+        file["events/t"] = events.t_us.astype(np.uint32)
+        file["events/x"], file["events/y"] = events.x_px, events.y_px
+        file["events/p"] = events.is_positive.astype(np.uint8)
+        file["ms_to_idx"] = np.searchsorted(events.t_us, 1000 * np.arange(2000)).astype(np.uint64)
+        file["t_offset"] = np.int64(49_599_300_523)
+    assert assert_read(tmp_path / "events.h5", events, 49_599_300_523)[0] == "DSEC HDF5"
+    assert open_recording(tmp_path / "events.h5").camera.width == 640
+
+
+def test_mvsec(tmp_path: Path, events: Events) -> None:
+    rows = np.column_stack([events.x_px, events.y_px, events.t_us * 1e-6, np.where(events.is_positive, 1, -1)])
+    with h5py.File(tmp_path / "flying.hdf5", "w") as file:
+        file["davis/left/events"] = rows.astype(np.float64)
+    assert assert_read(tmp_path / "flying.hdf5", events)[0] == "MVSEC HDF5"
+
+
+def test_other_hdf5(tmp_path: Path, events: Events) -> None:
+    rows = np.zeros(len(events), [("x", "<u2"), ("y", "<u2"), ("p", "<i2"), ("t", "<i8")])
+    rows["t"], rows["x"], rows["y"], rows["p"] = events.t_us, events.x_px, events.y_px, events.is_positive
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["CD/events"] = rows
+    assert "assumed from the largest pixel" in assert_read(tmp_path / "a.h5", events)[1]
+    with h5py.File(tmp_path / "b.h5", "w") as file:
+        file["events/ts"], file["events/ps"] = events.t_us * 1e-6, events.is_positive
+        file["events/xs"], file["events/ys"] = events.x_px, events.y_px
+        file.attrs.update(width=W, height=H)
+    assert_read(tmp_path / "b.h5", events)
+    with h5py.File(tmp_path / "c.h5", "w") as file:
+        file["weights"] = np.zeros(5)
+    with pytest.raises(FormatError, match="expected 'dvsviz-recording'"):
+        open_recording(tmp_path / "c.h5")
+
+
+def test_our_own_repaired(tmp_path: Path, events: Events) -> None:
+    t = events.t_us.copy()
+    t[100] = 0
+    with h5py.File(tmp_path / "r.h5", "w") as file:
+        file.attrs.update(format="dvsviz-recording", version=1, width=W, height=H)
+        file["events/t"], file["events/p"] = t, events.is_positive.astype(np.uint8)
+        file["events/x"], file["events/y"] = events.x_px, events.y_px
+    with pytest.raises(FormatError, match="event 100: time runs backwards"):
+        open_recording(tmp_path / "r.h5")
+    recording = open_recording(tmp_path / "r.h5", repair=True)
+    assert recording.events.count == len(events) - 1
+    assert "1 events whose time ran backwards" in recording.warnings[0]
+    with pytest.raises(FormatError, match="the sensor is 240x180, not 640x480"):
+        file = tmp_path / "s.h5"
+        with h5py.File(file, "w") as out:
+            out.attrs.update(format="dvsviz-recording", version=1, width=W, height=H)
+            out["events/t"], out["events/p"] = events.t_us, events.is_positive.astype(np.uint8)
+            out["events/x"], out["events/y"] = events.x_px, events.y_px
+        open_recording(file, size=(640, 480))
+
+
+@pytest.mark.parametrize("start", [0, 1])
+def test_mat(tmp_path: Path, events: Events, start: int) -> None:
+    x, y = events.x_px + start, events.y_px + start
+    x, y = np.maximum(x, start), np.maximum(y, start)
+    p = np.where(events.is_positive, 1, -1)
+    savemat(tmp_path / "m.mat", {"aedat": np.column_stack([x, y, p, events.t_us]).astype(float)})
+    found = assert_read(tmp_path / "m.mat", events)
+    assert found[0] == "MATLAB" and ("count from 1" in found[2]) is bool(start)
+    savemat(tmp_path / "n.mat", {"ts": events.t_us, "x": x, "y": y, "pol": p})
+    assert_read(tmp_path / "n.mat", events, size=(W, H))
+
+
+def aedat3(path: Path, events: Events, *, cut: int = 0) -> Path:
+    data = b"#!AER-DAT3.1\r\n#Format: RAW\r\n#Source 1: DAVIS240C\r\n#!END-HEADER\r\n"
+    for first in range(0, len(events), 700):
+        part = events[first : first + 700]
+        rows = np.zeros(2 * len(part), "<u4").reshape(-1, 2)
+        word = 1 | part.is_positive.astype(np.uint32) << 1 | part.y_px.astype(np.uint32) << 2
+        rows[:, 0], rows[:, 1] = word | part.x_px.astype(np.uint32) << 17, part.t_us + 50
+        data += struct.pack("<hhiiiiii", 1, 1, 8, 4, 1, len(part), len(part), len(part)) + rows.tobytes()
+    imu = struct.pack("<Iifffffff", 1, 77, 0.0, -1.0, 0.0, 180.0, 0.0, 0.0, 30.0)
+    data += struct.pack("<hhiiiiii", 3, 1, 36, 4, 1, 1, 1, 1) + imu
+    frame = (
+        struct.pack("<Iiiiiiiii", 1 | 1 << 1, 1, 2, 99, 4, 3, 2, 0, 0) + (np.arange(6) << 8).astype("<u2").tobytes()
+    )
+    data += struct.pack("<hhiiiiii", 2, 1, len(frame), 4, 1, 1, 1, 1) + frame
+    path.write_bytes(data[: len(data) - cut])
+    return path
+
+
+def test_aedat3(tmp_path: Path, events: Events) -> None:
+    path = aedat3(tmp_path / "a.aedat", events)
+    assert assert_read(path, events, 50 + (1 << 31))[0] == "AEDAT 3.1"
+    recording = open_recording(path)
+    assert recording.imu is not None and recording.frames is not None
+    np.testing.assert_allclose(recording.imu.gyro, [[np.pi, 0, 0]])
+    np.testing.assert_allclose(recording.imu.accel, [[0, -9.80665, 0]])
+    np.testing.assert_array_equal(recording.frames.read(0), [[0, 1, 2], [3, 4, 5]])
+    assert recording.frames.t_us[0] == 99 + (1 << 31)
+    with pytest.raises(FormatError, match="cut short inside a packet"):
+        open_recording(aedat3(tmp_path / "b.aedat", events, cut=5))
+    assert open_recording(tmp_path / "b.aedat", repair=True).events.count == len(events)
+
+
+def evt21(events: Events) -> bytes:
+    words, high = [], -1
+    for t, x, y, p in zip(
+        *(c.tolist() for c in (events.t_us, events.x_px, events.y_px, events.is_positive)), strict=True
+    ):
+        if t >> 6 != high:
+            high = t >> 6
+            words.append(8 << 60 | high << 32)
+        words.append(int(p) << 60 | (t & 63) << 54 | (x // 32 * 32) << 43 | y << 32 | 1 << (x % 32))
+    return b"% evt 2.1\n% geometry 240x180\n% end\n" + np.array(words, "<u8").tobytes()
+
+
+def test_evt21_and_cut_short(tmp_path: Path, events: Events) -> None:
+    (tmp_path / "a.raw").write_bytes(evt21(events))
+    assert assert_read(tmp_path / "a.raw", events)[0] == "Prophesee EVT2.1"
+    (tmp_path / "b.raw").write_bytes(evt21(events)[:-3])
+    with pytest.raises(FormatError, match=r"b\.raw, byte \d+: cut short inside an event"):
+        open_recording(tmp_path / "b.raw")
+    assert open_recording(tmp_path / "b.raw", repair=True).events.count == len(events) - 1
+
+
+def test_times_of_32_bits_wrap(tmp_path: Path, events: Events) -> None:
+    start = (1 << 32) - 1_000_000
+    t = events.t_us + start
+    dat = np.zeros(len(t), [("t", "<u4"), ("d", "<u4")])
+    dat["t"] = t & 0xFFFFFFFF
+    dat["d"] = events.x_px | events.y_px.astype(np.uint32) << 14 | events.is_positive.astype(np.uint32) << 28
+    header = b"% Data file containing CD events.\n% Version 2\n% Width 240\n% Height 180\n\x0c\x08"
+    (tmp_path / "a.dat").write_bytes(header + dat.tobytes())
+    assert_read(tmp_path / "a.dat", events, start)
+
+
+DVS128_HEADER = b"#!AER-DAT2.0\r\n# AEChip: ch.unizh.ini.jaer.chip.retina.DVS128\r\n"
+
+
+def test_dvs128_aedat2(tmp_path: Path, events: Events) -> None:
+    x, y = events.x_px % 128, events.y_px % 128
+    word = (127 - x).astype(np.uint32) << 1 | (127 - y).astype(np.uint32) << 8 | ~events.is_positive
+    rows = np.column_stack([word, events.t_us + 10]).astype(">u4")
+    (tmp_path / "a.aedat").write_bytes(DVS128_HEADER + rows.tobytes())
+    small = Events(t_us=events.t_us - events.t_us[0], x_px=x, y_px=y, is_positive=events.is_positive)
+    assert_read(tmp_path / "a.aedat", small)
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_dvs_msgs_bag(tmp_path: Path, events: Events, version: int) -> None:
+    from rosbags.rosbag1 import Writer as Writer1
+    from rosbags.rosbag2 import Writer as Writer2
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC if version == 1 else Stores.ROS2_HUMBLE)
+    event = "uint16 x\nuint16 y\ntime ts\nbool polarity\n"
+    array = "std_msgs/Header header\nuint32 height\nuint32 width\ndvs_msgs/Event[] events\n"
+    if version == 2:
+        event = event.replace("time ts", "builtin_interfaces/Time ts")
+    store.register(get_types_from_msg(event, "dvs_msgs/msg/Event"))
+    store.register(get_types_from_msg(array, "dvs_msgs/msg/EventArray"))
+    types = store.types
+    time, head = types["builtin_interfaces/msg/Time"], types["std_msgs/msg/Header"]
+
+    def stamp(us: int):
+        return time(sec=us // 1_000_000, nanosec=us % 1_000_000 * 1000)
+
+    def header(us: int):
+        extra = {"seq": 0} if version == 1 else {}
+        return head(stamp=stamp(us), frame_id="dvs", **extra)
+
+    path = tmp_path / ("a.bag" if version == 1 else "bag")
+    writer = Writer1(path) if version == 1 else Writer2(path, version=9)
+    serialize = store.serialize_ros1 if version == 1 else store.serialize_cdr
+    few = events[:1500]
+    with writer:
+        topics = {
+            name: writer.add_connection(name, "dvs_msgs/msg/EventArray", typestore=store)
+            for name in ("/dvs/events", "/other/events")
+        }
+        pose = writer.add_connection("/pose", "geometry_msgs/msg/PoseStamped", typestore=store)
+        for first in range(0, len(few), 500):
+            part = few[first : first + 500]
+            columns = (part.t_us, part.x_px, part.y_px, part.is_positive)
+            made = [
+                types["dvs_msgs/msg/Event"](x=x, y=y, ts=stamp(t), polarity=p)
+                for t, x, y, p in zip(*(c.tolist() for c in columns), strict=True)
+            ]
+            at = int(part.t_us[0])
+            message = types["dvs_msgs/msg/EventArray"](header=header(at), height=H, width=W, events=made)
+            for connection in topics.values():
+                writer.write(connection, at * 1000, serialize(message, connection.msgtype))
+            point = types["geometry_msgs/msg/Point"](x=1.0, y=2.0, z=float(first))
+            turn = types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0)
+            posed = types["geometry_msgs/msg/Pose"](position=point, orientation=turn)
+            posed = types["geometry_msgs/msg/PoseStamped"](header=header(at), pose=posed)
+            writer.write(pose, at * 1000, serialize(posed, pose.msgtype))
+    with pytest.raises(FormatError, match="2 event topics; choose one with --topic: /dvs/events, /other/events"):
+        open_recording(path)
+    with pytest.raises(FormatError, match="no event topic /none; event topics are: /dvs/events, /other/events"):
+        open_recording(path, topic="/none")
+    assert_read(path, few, topic="/dvs/events")
+    truth = open_recording(path, topic="/dvs/events").ground_truth
+    assert truth is not None
+    np.testing.assert_array_equal(truth.positions, [[1, 2, 0], [1, 2, 500], [1, 2, 1000]])
