@@ -46,7 +46,9 @@ _SEEK = """async ([x, y, patience]) => {
   const before = frames.at(-1)?.sum;
   frames.length = 0;
   const from = performance.timeOrigin + performance.now();
-  const painted = new Promise((resolve) => addEventListener("dvsviz-shown", ({ detail }) => resolve(detail), { once: true }));
+  const painted = new Promise((resolve) => {
+    addEventListener("dvsviz-shown", ({ detail }) => resolve(detail), { once: true });
+  });
   const options = { clientX: x, clientY: y, pointerId: 1, button: 0, bubbles: true, isPrimary: true };
   box.setPointerCapture = () => {};
   box.dispatchEvent(new PointerEvent("pointerdown", options));
