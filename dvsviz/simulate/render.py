@@ -65,7 +65,7 @@ class PixelGrid:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _bilinear(data, offset, rows, columns, u, v, inside):
+def bilinear(data, offset, rows, columns, u, v, inside):
     """Return the intensity of one level at its texel coordinates (u, v); `inside` promises 0 <= u, v < last."""
     if not inside:
         u = min(max(u, np.float32(0.0)), np.float32(columns - 1.0))
@@ -146,8 +146,8 @@ def _render_plane(
                 w = 1.0 / max(h20 * x + h21 * y + h22, _HORIZON)
                 u = np.float32((h00 * x + h01 * y + h02) * w) * scale
                 v = np.float32((h10 * x + h11 * y + h12) * w) * scale
-                fine = _bilinear(data, offset, rows_a, columns_a, u + shift, v + shift, inside)
-                coarse = _bilinear(data, offset_b, rows_b, columns_b, half * u + shift2, half * v + shift2, inside)
+                fine = bilinear(data, offset, rows_a, columns_a, u + shift, v + shift, inside)
+                coarse = bilinear(data, offset_b, rows_b, columns_b, half * u + shift2, half * v + shift2, inside)
                 image[row, column] = fine + part * (coarse - fine)
 
 
@@ -161,7 +161,11 @@ class PlaneView:
 
     def __init__(self, grid: PixelGrid, texture: Texture) -> None:
         self._grid, self._texture = grid, texture
-        self._last = np.full((len(grid.block_area), 2), np.inf)
+        self.forget()
+
+    def forget(self) -> None:
+        """Render all of the next image: the last one was not seen."""
+        self._last = np.full((len(self._grid.block_area), 2), np.inf)
         self._fresh = True
 
     def render(

@@ -17,10 +17,12 @@ from dvsviz.geometry import se3
 from dvsviz.geometry.camera import Camera
 from dvsviz.geometry.plane import Plane, rotation_to_map
 from dvsviz.geometry.trajectory import Trajectory
+from dvsviz.simulate.cover import Cover
 from dvsviz.simulate.event_camera import EventCamera, EventCameraModel
 from dvsviz.simulate.inertial import ImuModel, simulate_imu
 from dvsviz.simulate.motion import Motion, MotionName, make_motion
-from dvsviz.simulate.render import PixelGrid, PlaneView
+from dvsviz.simulate.panorama import PanoramaView
+from dvsviz.simulate.render import BLOCK, PixelGrid, PlaneView
 from dvsviz.simulate.scenes import PAINTERS, Bounds, Painter, SceneName
 
 Array = NDArray[np.float64]
@@ -35,7 +37,7 @@ _LONGEST_STEP_S = 5e-3
 _FLUSH_S = 0.02
 _TRUTH_HZ = 500.0
 # The wall ends this far from the camera's first axis: tilted walls reach the horizon.
-_WALL_LIMIT_M = 8.0
+_WALL_LIMIT_M = 6.0
 
 
 def default_camera() -> Camera:
@@ -93,7 +95,7 @@ def step_times(speed: Array, t_s: Array, longest_s: float = _LONGEST_STEP_S) -> 
 
 
 def visible_bounds(camera: Camera, Hs_map_camera: Array, margin: float = 0.1) -> Bounds:
-    """Return the wall's rectangle (left, top, right, bottom), m, that is ever in view."""
+    """Return the wall's rectangle (left, top, right, bottom), m, that is ever in view of the camera."""
     p = np.einsum("nij,mj->nmi", Hs_map_camera, border_bearings(camera))
     uv = p[..., :2] / np.maximum(p[..., 2:], 1e-3)
     low, high = uv.min(axis=(0, 1)) - margin, uv.max(axis=(0, 1)) + margin
@@ -113,6 +115,8 @@ def simulate(
     imu: ImuModel | None = None,
     distance: float = 1.0,
     tilt_deg: float = 5.0,
+    panorama: bool = False,
+    cover: Cover | None = None,
     frames_hz: float = 0.0,
     progress: Callable[[float], None] | None = None,
 ) -> None:
@@ -129,6 +133,8 @@ def simulate(
         imu: the inertial sensor; the default one has 1 kHz.
         distance: metres to the wall along the world's z axis.
         tilt_deg: angle between the wall and the world's image plane, in degrees, below 80.
+        panorama: True for a scene far around the camera, seen by a pure rotation, in place of a wall.
+        cover: when something is held before the lens.
         frames_hz: intensity frames a second, 0 for none.
         progress: called with the share done, 0 to 1.
 
@@ -147,43 +153,36 @@ def simulate(
     if isinstance(scene, str) and scene not in PAINTERS:
         raise ValueError(f"scene: expected {', '.join(PAINTERS)}, got {scene!r}")
     painter = PAINTERS[scene] if isinstance(scene, str) else scene
-    plane = wall(distance, tilt_deg)
+    plane = None if panorama else wall(distance, tilt_deg)
 
     coarse_s = np.linspace(0, seconds, int(np.ceil(seconds * 1000)) + 1)
-    Ts = path(coarse_s)
-    distances = plane.distance + Ts[:, :3, 3] @ plane.normal
+    distances = _distances(path(coarse_s), plane)
     if distances.min() < 0.02 * distance:
         raise ValueError(f"motion: the camera comes within {distances.min():.3f} m of the wall")
     sensor = EventCameraModel() if sensor is None else sensor
     times = step_times(
         image_speed(path, camera, plane, coarse_s), coarse_s, min(_LONGEST_STEP_S, sensor.settling_s)
     )
-    Hs = homographies(path(times), plane)
-    # Two texels a pixel at the nearest: an edge's place is then good to a hundredth of a pixel.
-    texel = 0.6 * float(np.percentile(distances, 5)) / max(camera.fx, camera.fy)
-    texture = painter(rngs[1], visible_bounds(camera, Hs), texel)
-
-    grid = PixelGrid.of(camera)
-    view = PlaneView(grid, texture)
-    image = np.empty((camera.height, camera.width), np.float32)
-    active = np.ones(grid.rows * grid.columns, np.bool_)
-    view.render(Hs[0], image, active)
-    pixels = EventCamera(sensor, image, 0.0, rngs[2])
+    if cover is not None:
+        extra = cover.step_times()
+        times = np.union1d(times, extra[(extra > 0) & (extra < seconds)])
+    view, maps = _view(camera, plane, painter, path(times), distances, rngs[1])
+    light = _Light(view, maps, times, camera, cover)
+    light.advance(0, whole=True)
+    pixels = EventCamera(sensor, light.seen, 0.0, rngs[2])
     first_us: int | None = None
     last_us = 0
     next_flush_s, next_frame_s = _FLUSH_S, 0.0
     with RecordingWriter(out, camera=camera) as writer:
         for k, t in enumerate(times):
-            frame, last = frames_hz > 0 and t >= next_frame_s, k == len(times) - 1
-            whole = frame or last or t >= next_flush_s
-            if k:
-                view.render(Hs[k], image, active, still_px=0.0 if whole else STILL_PX)
-                pixels.step(image, t, active)
+            flush, frame = t >= next_flush_s or k == len(times) - 1, frames_hz > 0 and t >= next_frame_s
+            if k and light.advance(k, whole=flush or frame):
+                pixels.step(light.seen, t, light.active)
             if frame:
-                writer.append_frame(round(t * 1e6), np.round(np.clip(image, 0, 1) * 255).astype(np.uint8))
+                writer.append_frame(round(t * 1e6), np.round(np.clip(light.seen, 0, 1) * 255).astype(np.uint8))
                 next_frame_s += 1 / frames_hz
-            if last or t >= next_flush_s:
-                events = pixels.flush(image, t)
+            if flush:
+                events = pixels.flush(light.seen, t)
                 if len(events):
                     first_us = int(events.t_us[0]) if first_us is None else first_us
                     last_us = int(events.t_us[-1])
@@ -195,9 +194,83 @@ def simulate(
             raise ValueError("seconds: the recording would hold no event; make it longer or the scene richer")
         writer.set_ground_truth(_truth(path, first_us, last_us))
         writer.set_imu(simulate_imu(ImuModel() if imu is None else imu, path, seconds, rngs[3]))
-        writer.set_plane(
-            mean_plane_distance=float(distances.mean()), normal_world=plane.normal, distance_world=plane.distance
-        )
+        if plane is not None:
+            mean = float(distances.mean())
+            writer.set_plane(mean_plane_distance=mean, normal_world=plane.normal, distance_world=plane.distance)
+
+
+class _Light:
+    """What falls on the sensor: the view, and what is held before it.
+
+    Attributes:
+        seen: intensity image (height, width).
+        active: blocks (N,) that may have changed in the last step; None for all.
+    """
+
+    def __init__(
+        self, view: PlaneView | PanoramaView, maps: Array, times: Array, camera: Camera, cover: Cover | None
+    ) -> None:
+        self._view, self._maps, self._times, self._cover = view, maps, times, cover
+        self._image = np.empty((camera.height, camera.width), np.float32)
+        self._flags = np.ones(-(-camera.height // BLOCK) * -(-camera.width // BLOCK), np.bool_)
+        self._covered = False
+        self.seen: NDArray[np.float32] = self._image
+        self.active: NDArray[np.bool_] | None = self._flags
+
+    def advance(self, k: int, *, whole: bool) -> bool:
+        """Go to step `k`, and return False where the image is known to be that of the step before.
+
+        Blocks that hardly moved are left for later, unless the `whole` image is wanted.
+        """
+        t = float(self._times[k])
+        over = self._cover is not None and self._cover.is_over(t)
+        if over and self._covered and self._cover is not None and self._cover.is_dark(t):
+            self._view.forget()
+            self.seen, self.active = self._cover.over(self._image, t), None
+            return whole
+        still_px = 0.0 if whole or over or self._covered else STILL_PX
+        self._view.render(self._maps[k], self._image, self._flags, still_px=still_px)
+        # The step that uncovers the last of the image changes blocks that did not move.
+        self.active = None if over or self._covered else self._flags
+        self.seen = self._cover.over(self._image, t) if over and self._cover is not None else self._image
+        self._covered = over
+        return True
+
+
+def _distances(Ts: Array, plane: Plane | None) -> Array:
+    """Return the camera's distances (N,) to the wall, m; infinite to a panorama."""
+    if plane is None:
+        return np.full(len(Ts), np.inf)
+    return plane.distance + Ts[:, :3, 3] @ plane.normal
+
+
+def _view(
+    camera: Camera, plane: Plane | None, painter: Painter, Ts: Array, distances: Array, rng: np.random.Generator
+) -> tuple[PlaneView | PanoramaView, Array]:
+    """Return what is rendered, and at each step how it is seen: homographies or rotations (N, 3, 3)."""
+    grid = PixelGrid.of(camera)
+    texel = 0.6 / max(camera.fx, camera.fy)
+    if plane is None:
+        if np.abs(np.diff(Ts[:, :3, 3], axis=0)).max() > 1e-9:
+            raise ValueError("motion: expected a pure rotation in a panorama")
+        half = float(np.abs(np.arctan2(*_directions(camera, Ts)[:, ::2].T)).max()) + 0.1
+        high = float(np.abs(_heights(_directions(camera, Ts))).max()) + 0.1
+        texture = painter(rng, (-half, -high, half, high), texel)
+        return PanoramaView(grid, texture), Ts[:, :3, :3]
+    Hs = homographies(Ts, plane)
+    # Nearly two texels a pixel where the camera is near: an edge's place is then good to a few hundredths of a pixel.
+    texel *= float(np.percentile(distances, 5))
+    return PlaneView(grid, painter(rng, visible_bounds(camera, Hs), texel)), Hs
+
+
+def _directions(camera: Camera, Ts: Array) -> Array:
+    """Return directions (M, 3) in the world along the border of some images."""
+    some = Ts[:: max(len(Ts) // 2000, 1), :3, :3]
+    return np.einsum("nij,mj->nmi", some, border_bearings(camera)).reshape(-1, 3)
+
+
+def _heights(directions: Array) -> Array:
+    return directions[:, 1] / np.hypot(directions[:, 0], directions[:, 2])
 
 
 def _truth(motion: Motion, first_us: int, last_us: int) -> Trajectory:
