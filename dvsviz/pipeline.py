@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,9 @@ from dvsviz.session.records import STATUSES, LogEntry, Status, WindowResult
 from dvsviz.session.store import Session, SessionHeader, SessionWriter, open_session
 from dvsviz.tracking.tracker import Tracker
 from dvsviz.tracking.warm_up import warm_up
+
+if TYPE_CHECKING:
+    from dvsviz.export.rerun import RerunLogger
 
 CHECKPOINT_US = 5_000_000
 """A checkpoint at each keyframe and at least this often in recording time."""
@@ -182,7 +185,7 @@ class _Run:
         self, progress: Callable[[Progress], None] | None, cancel: threading.Event | None, rerun: Path | None
     ) -> None:
         """Track to the recording's end; whatever ends it before leaves the session incomplete and readable."""
-        logger = None
+        logger = _rerun_logger(rerun, _header(self._recording, self._config))
         try:
             self._started = time.perf_counter()
             for window in windows(
@@ -275,6 +278,15 @@ def _header(recording: Recording, config: TrackerConfig) -> SessionHeader:
         plane_normal_world=recording.plane_normal_world,
         plane_distance_world=recording.plane_distance_world,
     )
+
+
+def _rerun_logger(path: Path | None, header: SessionHeader) -> RerunLogger | None:
+    if path is None:
+        return None
+    # Rerun takes half a second to import and most runs do without.
+    from dvsviz.export.rerun import RerunLogger
+
+    return RerunLogger(path, header)
 
 
 def _check_target(recording: Recording, out: Path, *, force: bool) -> None:

@@ -225,6 +225,47 @@ def test_simulate_writes_a_recording_once(tmp_path: Path, capsys: pytest.Capture
     assert "seconds: expected" in one_error(capsys, "simulate", "--seconds", "-1", "--out", tmp_path / "q.h5")
 
 
+def test_export_writes_what_the_ending_says(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("x.rrd", "x.tum"):
+        assert main(["export", str(session), "--to", str(tmp_path / name)]) == 0
+        assert capsys.readouterr().out == ""
+    assert (tmp_path / "x.rrd").read_bytes().startswith(b"RRF")
+    with open_session(session) as opened:
+        assert len((tmp_path / "x.tum").read_text().splitlines()) == opened.window_count
+    assert main(["export", str(session), "--to", str(tmp_path / "x.tum"), "--force", "--poses", "online"]) == 0
+
+
+def test_track_logs_to_rerun_meanwhile(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    argv = ["track", str(recording), "--window", "20000", "--out", str(tmp_path / "s.h5")]
+    assert main([*argv, "--rerun", str(tmp_path / "s.rrd"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["session"] == str(tmp_path / "s.h5")
+    assert (tmp_path / "s.rrd").read_bytes().startswith(b"RRF")
+    assert "s.rrd: already exists" in one_error(
+        capsys, "track", recording, "--out", tmp_path / "t.h5", "--rerun", tmp_path / "s.rrd"
+    )
+
+
+def test_serve_prints_its_address_and_stops_at_ctrl_c(tmp_path: Path) -> None:
+    argv = ["serve", "--port", "0", "--no-browser", "--sessions", str(tmp_path / "s")]
+    with subprocess.Popen(
+        [sys.executable, "-m", "dvsviz", *argv], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as server:
+        assert server.stdout is not None
+        address = server.stdout.readline()
+        assert re.fullmatch(r"http://127\.0\.0\.1:\d+/#token=\S+\n", address)
+        port = re.findall(r":(\d+)/", address)[0]
+        taken = run("serve", "--port", port, "--no-browser", cwd=tmp_path)
+        assert taken.returncode == 2 and f"port {port} is in use" in taken.stderr
+        assert taken.stderr.count("\n") == 1 and taken.stdout == ""
+        time.sleep(1.0)
+        server.send_signal(signal.SIGINT)
+        said, complained = server.communicate(timeout=60)
+    assert server.returncode in (0, 130)
+    assert "Traceback" not in complained and "http" not in said
+
+
 def test_doctor_says_what_it_finds(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

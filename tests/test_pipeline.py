@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 import threading
 from dataclasses import replace
 from itertools import pairwise
@@ -225,3 +227,43 @@ def test_share_and_losses_by_hand(text: str, share: float, losses: int) -> None:
         "losses": losses,
     }
     assert STATUSES[:2] == (Status.INITIALIZING, Status.TRACKING)
+
+
+WARM = """
+import sys
+from pathlib import Path
+from numba.core.registry import CPUDispatcher
+from dvsviz.config import TrackerConfig
+from dvsviz.formats.open import open_recording
+from dvsviz.tracking.warm_up import warm_up
+from dvsviz import pipeline
+
+def compiled():
+    rooms = [module for name, module in sys.modules.items() if name.startswith("dvsviz.")]
+    return {
+        (kernel.py_func.__qualname__, signature)
+        for room in rooms
+        for kernel in vars(room).values()
+        if isinstance(kernel, CPUDispatcher)
+        for signature in kernel.signatures
+    }
+
+recording = open_recording(Path(sys.argv[1]))
+warm_up(TrackerConfig())
+pipeline.warm_up = lambda config: 0.0
+before = compiled()
+pipeline.track(recording, TrackerConfig(), Path(sys.argv[2]))
+late = compiled() - before
+assert not late, late
+"""
+
+
+def test_no_kernel_is_compiled_after_the_clock_has_started(recording: Recording, tmp_path: Path) -> None:
+    told = subprocess.run(
+        [sys.executable, "-c", WARM, str(recording.path), str(tmp_path / "wall.h5")],
+        capture_output=True,
+        text=True,
+        timeout=180,
+        check=False,
+    )
+    assert told.returncode == 0, told.stderr

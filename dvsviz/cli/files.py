@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from dvsviz.cli import arguments
 from dvsviz.cli.console import note, print_fields, print_json, share_bar
 from dvsviz.errors import DvsvizError, SessionError
+
+if TYPE_CHECKING:
+    from dvsviz.events.recording import Recording
+    from dvsviz.session.store import Session
 
 
 def info(command: arguments.Info) -> int:
@@ -106,10 +110,23 @@ def export(command: arguments.Export) -> int:
         else:
             from dvsviz.export.rerun import export_rerun
 
+            recording = _recording_of(session)
             with share_bar(f"writing {command.to.name}") as show:
-                export_rerun(session, command.to, progress=show)
+                export_rerun(session, command.to, recording, progress=show)
     note(f"wrote {command.to}")
     return 0
+
+
+def _recording_of(session: Session) -> Recording | None:
+    """Return the recording of a session, or None with a line about it where it is gone or does not open."""
+    from dvsviz.formats.open import open_recording
+
+    header = session.header
+    try:
+        return open_recording(Path(header.recording_path), size=(header.camera.width, header.camera.height))
+    except DvsvizError as error:
+        note(f"warning: {error}; only the images of the keyframes are written")
+        return None
 
 
 def _session_info(path: Path) -> dict[str, Any]:

@@ -17,8 +17,9 @@ from dvsviz.tracking.tracker import Tracker
 
 _WINDOWS = 6
 _WINDOW_EVENTS = 1000
-_WINDOW_US = 10_000
-_SPEED_PX_PER_S = 150.0
+_WINDOW_US = 30_000
+# In all windows together a quarter of the image: enough for five keyframes and a refinement.
+_SPEED_PX_PER_S = 160.0
 # Small: only the kinds of the arrays matter.
 _CAMERA = Camera(width=120, height=90, fx=100.0, fy=100.0, cx=59.5, cy=44.5)
 
@@ -34,11 +35,11 @@ def warm_up(config: TrackerConfig) -> float:
     """
     start = time.perf_counter()
     rng = np.random.default_rng(0)
-    dots = rng.uniform((0, 0), (_CAMERA.width, _CAMERA.height), (60, 2))
+    dots = rng.uniform((-_CAMERA.width, 0), (_CAMERA.width, _CAMERA.height), (150, 2))
     tracker = Tracker(_CAMERA, replace(config, window=_WINDOW_EVENTS))
     for index in range(_WINDOWS):
         tracker.step(_window(index, _WINDOW_EVENTS, dots, rng))
-    tracker.finish()
+    tracker.take_updates()
     # A large window is thinned before its contrast is maximised: strided arrays are another kind of array.
     Tracker(_CAMERA, config).step(_window(0, 2 * CONTRAST_EVENTS, dots, rng))
     return time.perf_counter() - start
@@ -47,8 +48,10 @@ def warm_up(config: TrackerConfig) -> float:
 def _window(index: int, count: int, dots: NDArray[np.float64], rng: np.random.Generator) -> EventWindow:
     """Return a window of dots (N, 2), px, that move to the right."""
     t_us = index * _WINDOW_US + np.sort(rng.integers(0, _WINDOW_US, count))
-    p = dots[rng.integers(0, len(dots), count)]
-    x = np.round(p[:, 0] + t_us * 1e-6 * _SPEED_PX_PER_S) % _CAMERA.width
+    middle_px = dots[:, 0] + (index + 0.5) * _WINDOW_US * 1e-6 * _SPEED_PX_PER_S
+    seen = dots[(middle_px > 0) & (middle_px < _CAMERA.width - 1)]
+    p = seen[rng.integers(0, len(seen), count)]
+    x = np.clip(np.round(p[:, 0] + t_us * 1e-6 * _SPEED_PX_PER_S), 0, _CAMERA.width - 1)
     events = Events(
         t_us=t_us,
         x_px=x.astype(np.uint16),
