@@ -20,8 +20,8 @@ _BACKGROUND, _POSITIVE, _NEGATIVE = np.array([12, 15, 19]), np.array([255, 183, 
 # Votes at this percentile of the pixels that have any are drawn at full brightness.
 _PEAK_PERCENTILE = 99
 MAP_CANVAS_PX = 1024
-_MAP_GROUND, _MAP_EDGE = np.array([41, 34, 30]), np.array([243, 240, 236])  # BGR
-_MAP_COLOURS = (_MAP_GROUND + np.arange(256)[:, None] / 255 * (_MAP_EDGE - _MAP_GROUND)).astype(np.uint8)
+# Grey levels of ground and sure edge: the ground is told from the background. Grey encodes three times faster.
+_MAP_LEVELS = np.linspace(34, 240, 256).round().astype(np.uint8)
 # Nearer than this to the plane, or behind it (a lost pose), the homography is not defined.
 _MIN_DISTANCE = 1e-3
 
@@ -79,7 +79,7 @@ def map_png(texture: NDArray[np.uint8]) -> tuple[bytes, float]:
     into_canvas = np.array([[scale, 0, left + 0.5 * scale - 0.5], [0, scale, top + 0.5 * scale - 0.5]])
     interpolation = cv2.INTER_LINEAR if scale >= 1 else cv2.INTER_AREA
     canvas = cv2.warpAffine(texture, into_canvas, (MAP_CANVAS_PX, MAP_CANVAS_PX), flags=interpolation)
-    return _png(_MAP_COLOURS[np.asarray(canvas, dtype=np.uint8)]), scale
+    return _png(np.asarray(cv2.LUT(canvas, _MAP_LEVELS), dtype=np.uint8)), scale
 
 
 def grey_png(image: NDArray[np.uint8]) -> bytes:
