@@ -30,8 +30,7 @@ _log = logging.getLogger(__name__)
 
 Action = Literal["pause", "resume", "cancel"]
 
-# The tracker gives way to seeks: with two cores and a browser that draws in software, a seek during tracking takes
-# about 40 % longer without.
+# The tracker gives way to seeks where a browser that draws in software takes the other core.
 _NICE = 5
 _GRACE_S = 5.0
 _TELL_EVERY_S = 0.2

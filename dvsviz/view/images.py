@@ -74,10 +74,7 @@ def raw_picture(window: EventWindow, camera: Camera, options: ImageOptions) -> P
     """Return the events as recorded, each at its nearest undistorted pixel."""
     points = _nearest_pixels(camera)[window.events.y_px, window.events.x_px]
     positive = window.events.is_positive
-    shape = (camera.height, camera.width)
-    on, off = (
-        _RAW_LEVELS[np.minimum(vote(points[m], None, shape), 3).astype(np.uint8)] for m in (positive, ~positive)
-    )
+    on, off = (_counted(points[m], camera) for m in (positive, ~positive))
     picture = _two_colours(on, off, options)
     if options.scale == 1:
         return picture
@@ -159,16 +156,25 @@ def _warped(
     if not plane.distance > 1e-3:
         plane = Plane(normal=np.array([0.0, 0.0, -1.0]))
     bearings, t_s = window.bearings, window.t_s
-    return image_of_warped_events(
+    grid = scaled_camera(camera, options.scale)
+    votes = image_of_warped_events(
         bearings if mask is None else bearings[mask],
         t_s if mask is None else t_s[mask],
         None,
-        scaled_camera(camera, options.scale),
+        replace(grid, width=grid.width + 1, height=grid.height + 1),
         omega=result.omega,
         velocity=result.velocity,
         normal=plane.normal,
         distance=plane.distance,
     )
+    return votes[: grid.height, : grid.width]
+
+
+def _counted(points: NDArray[np.float32], camera: Camera) -> Bytes:
+    """Return the brightness of pixels by how many of the whole-pixel points (N, 2) fall on them."""
+    # A bilinear vote needs a neighbour to the right and below: the last row and column get one here.
+    votes = vote(points, None, (camera.height + 1, camera.width + 1))[: camera.height, : camera.width]
+    return _RAW_LEVELS[np.minimum(votes, 3).astype(np.uint8)]
 
 
 def _peak(votes: Votes) -> float:

@@ -41,10 +41,7 @@ class Picture:
         return self.palette[self.pixels]
 
     def png(self) -> bytes:
-        """Return the picture as an indexed PNG: lossless, because JPEG smears single events.
-
-        Compression level 1: level 6 takes four times as long for a tenth fewer bytes.
-        """
+        """Return the picture as an indexed PNG: lossless, because JPEG smears single events."""
         rows = np.zeros((self.height, self.width + 1), dtype=np.uint8)  # each row begins with filter 0 (none)
         rows[:, 1:] = self.pixels
         # Bit depth 8, colour type 3 (palette), deflate, adaptive filter, not interlaced (PNG, 11.2.2).

@@ -38,6 +38,9 @@ _MAP_EVERY_S = 1.0
 _TRUTH_RGB = (204, 121, 167)
 _KEYFRAME_RGB = (240, 228, 66)
 _FRUSTUM_RGB = (236, 240, 243)
+_FOV_RAD = 0.9
+# The wall is a little lighter than the room, so that its known part is seen.
+_WALL_RGB = np.array((22, 27, 33), dtype=np.uint8)
 _quiet = threading.Lock()
 
 
@@ -87,6 +90,7 @@ class TabScene:
         self._server.gui.main_panel.minimize()
         self._server.initial_camera.position = (0.7, -0.6, -1.1)
         self._server.initial_camera.look_at = (0.0, 0.0, 0.7)
+        self._server.initial_camera.fov = _FOV_RAD
 
     def open(self, shown: ShownSession) -> None:
         """Show a session from its first window on."""
@@ -171,6 +175,7 @@ class TabScene:
         self._server.initial_camera.position, self._server.initial_camera.look_at = position, look_at
         for client in self._server.get_clients().values():
             client.camera.up_direction = (0.0, -1.0, 0.0)
+            client.camera.fov = _FOV_RAD
             client.camera.position, client.camera.look_at = position, look_at
 
     def _draw_trajectory(self, shown: ShownSession) -> None:
@@ -291,7 +296,7 @@ class TabScene:
 
     def _draw_map(self, revision: MapRevision) -> None:
         width, height, position, wxyz = geometry3d.map_image_pose(revision)
-        texture = texture_picture(revision).rgb()
+        texture = np.maximum(texture_picture(revision).rgb(), _WALL_RGB)
         shrink = geometry3d.MAX_TEXTURE_PX / max(texture.shape[:2])
         if shrink < 1:
             texture = cv2.resize(texture, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)
