@@ -19,7 +19,7 @@ def blueprint(
         reach: from there to the farthest thing to be seen, plane distances.
     """
     # From behind the camera's left shoulder: the frustum, the path and the map beside each other.
-    eye = tuple(at + reach * away for at, away in zip(target, (-0.95, -0.65, -1.55), strict=True))
+    eye = tuple(at + reach * away for at, away in zip(target, (-0.68, -0.48, -1.12), strict=True))
     everything = [
         rrb.VisibleTimeRange(timeline, start=_EVERYTHING, end=_EVERYTHING) for timeline in ("window", "time")
     ]
