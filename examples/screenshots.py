@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import shutil
 from pathlib import Path
+from typing import Literal
 
 from playwright.sync_api import Page, sync_playwright
 
@@ -20,14 +21,14 @@ FLAGS = [
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
 ]
-SHOTS = {
+SHOTS: dict[str, tuple[int, int, Literal["dark", "light"]]] = {
     "dashboard-dark": (1280, 800, "dark"),
     "dashboard-light": (1280, 800, "light"),
     "dashboard-large": (1920, 1080, "dark"),
     "dashboard-tablet": (1024, 768, "light"),
     "dashboard-tablet-upright": (820, 1180, "dark"),
 }
-SCENE_S = 4.0
+SCENE_S = 8.0
 
 
 def until_shown(page: Page) -> None:

@@ -53,12 +53,15 @@ export class Scene {
     if (software === null) return this.#without();
     const url = new URL(this.#wanted, location.href);
     url.searchParams.set("hideViserLogo", "");
+    url.searchParams.set("darkMode", "");
     if (software) url.searchParams.set("fixedDpr", "0.5");
     this.#frame?.remove();
     this.#frame = make("iframe", { src: url.href, title: "3-D scene: map, trajectory, keyframes and camera", dataset: { address: this.#wanted } });
     // Its warnings about the browser and its panel stay away: what is of use stands in this page.
     this.#frame.addEventListener("load", () => {
       const style = make("link", { rel: "stylesheet", href: "/static/scene.css" });
+      // Until then the frame would be a white field.
+      style.addEventListener("load", () => this.#frame.classList.add("ready"));
       this.#frame.contentDocument.head.append(style);
     });
     // The keys of the page work in the scene too, unless it wants them for a field of its own.
@@ -81,6 +84,7 @@ export class Scene {
     this.#isMissing = true;
     byId("layers").hidden = true;
     const text = "This browser offers no WebGL 2. Images, numbers and the timeline work without it.";
+    document.querySelector(".scene-wait").remove();
     byId("scene").append(make("div", { class: "empty" }, make("h2", {}, "No 3-D scene"), make("p", {}, text)));
   }
 }
