@@ -8,6 +8,7 @@ import os
 import socket
 import sys
 import threading
+import time
 import webbrowser
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -35,6 +36,8 @@ DEFAULT_PORT = 8765
 # 5,000 windows of 240x180 with three images each are about 80 MB.
 _CACHE_BYTES = 96 * 1024 * 1024
 _STOP_S = 3
+# A run takes about three seconds to begin, the very first one longer: kernels are compiled.
+_DEMO_WAIT_S = 8.0
 
 
 def serve(
@@ -63,6 +66,8 @@ def serve(
     """
     dashboard = Dashboard(paths, sessions_dir=sessions_dir, host=host, port=port, demo=demo)
     try:
+        if demo:
+            dashboard.wait_for_first_session(_DEMO_WAIT_S)
         if ready is not None:
             ready(dashboard.address)
         if open_browser and _has_browser():
@@ -119,7 +124,7 @@ class Dashboard:
         self._watch = Watch(self._library, self._tabs)
         for order in orders:
             self._library.add_recording(order.recording)
-            self.runs.add(order)
+        self._first = [self.runs.add(order) for order in orders]
         self._routes = Routes(
             keys=self._keys,
             library=self._library,
@@ -148,6 +153,13 @@ class Dashboard:
         """Answer until `stop`, or in the main thread until Ctrl-C."""
         self._watch.start()
         self._server.run(sockets=[self._socket])
+
+    def wait_for_first_session(self, timeout_s: float) -> None:
+        """Wait until the first run has begun its session, so that the page opens on it; or for the timeout."""
+        end = time.monotonic() + timeout_s
+        while time.monotonic() < end and not all(run.order.out.exists() or run.error for run in self._first[:1]):
+            time.sleep(0.05)
+        self._watch.refresh_list()
 
     def stop(self) -> None:
         """Make `run` return soon; from any thread."""

@@ -77,13 +77,13 @@ class Library:
             self._paths = found | {name: path for name, path in self._single.items() if path.exists()}
 
     def entries(self) -> list[dict[str, Any]]:
-        """Return what the list of sessions shows, newest first; files that are no sessions are left out."""
+        """Return what the list of sessions shows, newest first, queued runs last; other files are left out."""
         with self._lock:
             paths = dict(self._paths)
         entries = [entry for name, path in paths.items() if (entry := self._entry(name, path)) is not None]
         known = {entry["name"] for entry in entries}
         waiting = [_queued(run) for run in self._runs.queued() if run.order.name not in known]
-        return waiting + sorted(entries, key=lambda entry: entry["created"], reverse=True)
+        return [*sorted(entries, key=lambda entry: entry["created"], reverse=True), *waiting]
 
     def open(self, name: str) -> ShownSession:
         """Return a session by its name; opened the first time.

@@ -46,6 +46,11 @@ class Watch(threading.Thread):
                 self._look_for_sessions()
                 self._tabs.tidy()
 
+    def refresh_list(self) -> None:
+        """Look for sessions now, in this thread; before `start`."""
+        self._library.scan()
+        self.list = self._library.entries()
+
     def look(self) -> None:
         """Look for new sessions at once."""
         self._look_now.set()
