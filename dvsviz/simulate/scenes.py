@@ -29,11 +29,20 @@ def _fill(image, polygon, value, u0, v0, texel):
     rows, columns = image.shape
     u, v = (polygon[:, 0] - u0) / texel - 0.5, (polygon[:, 1] - v0) / texel - 0.5
     n = len(u)
+    near = np.empty(n, np.int64)
     for j in range(max(int(np.floor(v.min())) - 1, 0), min(int(np.ceil(v.max())) + 2, rows)):
+        # Only edges that reach this row can cover a part of its texels.
+        count = 0
+        for k in range(n):
+            k2 = k + 1 if k + 1 < n else 0
+            if min(v[k], v[k2]) <= j + 1 and max(v[k], v[k2]) >= j - 1:
+                near[count] = k
+                count += 1
         for i in range(max(int(np.floor(u.min())) - 1, 0), min(int(np.ceil(u.max())) + 2, columns)):
             inside = False
             nearest = 1e30
-            for k in range(n):
+            for e in range(count):
+                k = near[e]
                 k2 = k + 1 if k + 1 < n else 0
                 ax, ay, bx, by = u[k] - i, v[k] - j, u[k2] - i, v[k2] - j
                 if (ay > 0) != (by > 0) and ax - ay * (bx - ax) / (by - ay) > 0:

@@ -24,7 +24,7 @@ from dvsviz.simulate.panorama import boxes
 from dvsviz.simulate.scenes import Painter, SceneName, shapes
 from dvsviz.simulate.simulate import default_camera, simulate
 
-SUITE_VERSION = 1
+SUITE_VERSION = 2
 _INDEX = "suite.json"
 
 _VGA = Camera(width=640, height=480, fx=530.0, fy=530.0, cx=319.5, cy=239.5)
@@ -130,7 +130,7 @@ SUITE: tuple[SuiteEntry, ...] = (
         options={"distance": 0.6, "tilt_deg": 3.0},
     ),
     SuiteEntry(
-        name="poster_6dof", scene="poster", motion=own.lively, seconds=30.0,
+        name="poster_6dof", scene="poster", motion=own.brisk, seconds=30.0,
         wanted=Wanted(position_percent=1.0, rotation_deg=0.6, rtf=1.0),
         options={"sensor": EventCameraModel(threshold_on=0.22, threshold_off=0.22)},
     ),

@@ -91,12 +91,6 @@ def brisk(rng: np.random.Generator, seconds: float) -> Motion:
     return free_motion(position, wobble(rng, np.radians([9, 12, 12]), low_hz=0.2, high_hz=1.4, seconds=seconds))
 
 
-def lively(rng: np.random.Generator, seconds: float) -> Motion:
-    """Return a hand's motion that is somewhat quicker than usual."""
-    position = wobble(rng, [0.25, 0.2, 0.1], low_hz=0.1, high_hz=0.7, seconds=seconds)
-    return free_motion(position, wobble(rng, np.radians([9, 12, 12]), low_hz=0.15, high_hz=1.0, seconds=seconds))
-
-
 def along_and_back(rng: np.random.Generator, seconds: float) -> Motion:
     """Return a walk of 5 m along the wall and back, with a hand's motion on it."""
     hand = wobble(rng, [0.08, 0.12, 0.08], low_hz=0.1, high_hz=0.6, seconds=seconds)
