@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -30,22 +32,14 @@ def convert_mat(path: Path, sink: RecordingSink) -> None:
     from scipy.io import loadmat, whosmat
     from scipy.io.matlab import MatReadError
 
+    damage = (MatReadError, ValueError, TypeError, OSError, KeyError, IndexError, NotImplementedError, MemoryError)
     try:
         shapes = {name: shape for name, shape, _ in whosmat(path)}
         if sum(8 * float(np.prod(shape, dtype=np.float64)) for shape in shapes.values()) > _MAX_BYTES:
             hint = "save it as HDF5 or npz, which are read in blocks"
             raise FormatError("too large to be read whole", path=path, hint=hint)
         values: dict[str, Any] = loadmat(path)
-    except (
-        MatReadError,
-        ValueError,
-        TypeError,
-        OSError,
-        KeyError,
-        IndexError,
-        NotImplementedError,
-        MemoryError,
-    ) as e:
+    except (*damage, zlib.error, struct.error, AttributeError, OverflowError) as e:
         reason = " ".join(str(e).split())[:100]
         raise FormatError(f"damaged or not a MATLAB file ({reason})", path=path, hint="save it again") from e
     t, x, y, p = _columns({name: array for name, array in values.items() if not name.startswith("__")}, path)
