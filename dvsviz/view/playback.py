@@ -148,7 +148,7 @@ class Renderer(threading.Thread):
                 continue
             try:
                 self._serve(seek)
-            except (DvsvizError, OSError, ValueError) as error:
+            except (DvsvizError, OSError, ValueError, RuntimeError) as error:
                 _log.warning("window %d of %s could not be drawn: %s", seek.window, seek.shown.name, error)
                 self._fail(f"window {seek.window} of {seek.shown.name} could not be drawn: {error}")
 
