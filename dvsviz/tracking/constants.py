@@ -129,3 +129,17 @@ WEAK_CONDITION: Final = 3e4
 SCORE_GAIN: Final = 0.05
 # Edge pixels in view below which there is too little texture.
 TEXTURE_EDGE_PIXELS: Final = 150
+
+# --- translation before a relief ----------------------------------------------------------------------------
+# Direction of travel on slider_depth: 0.5 degrees off with one blur of 2 px, 3.5 with 2 and 1 px.
+RELIEF_BLURS_START_PX: Final = (4.0, 2.0)
+RELIEF_BLURS_PX: Final = (2.0,)
+RELIEF_EVENTS: Final = 8_000
+RELIEF_EVALUATIONS: Final = 20
+# Windows with enough motion after which it is decided whether the scene is a plane; the relative deviation of none.
+RELIEF_WINDOWS: Final = 5
+RELIEF_UNEVEN: Final = 0.04
+# Image displacement a window should cover, px, where there is no map to align with.
+RELIEF_DISPLACEMENT_PX: Final = 5.0
+# Contrast by contrast without motion below which a window says nothing.
+RELIEF_GAIN: Final = 1.03

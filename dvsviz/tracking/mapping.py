@@ -157,11 +157,11 @@ class Mapper:
                 return kept
         return trace
 
-    def finish(self) -> None:
-        """Refine once more with everything that was seen, and publish the last map."""
+    def finish(self, *, refine: bool) -> None:
+        """Refine once more with everything that was seen (if asked), and publish the last map."""
         if self.map is None or not self.traces:
             return
-        if len(self.keyframes) >= c.REFINE_AT[0] and self._spread_px() >= self._wanted_spread_px:
+        if refine and len(self.keyframes) >= c.REFINE_AT[0] and self._spread_px() >= self._wanted_spread_px:
             self._refine(final=True)
         self._publish(self.traces[-1].window)
 

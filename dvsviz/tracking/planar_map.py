@@ -240,7 +240,8 @@ def add_exposure(exposure, to_start, to_end, K, height, width, block, limit):
             z = to_end[2, 0] * x + to_end[2, 1] * y + to_end[2, 2]
             bx = (to_end[0, 0] * x + to_end[0, 1] * y + to_end[0, 2]) / z * K[0, 0] + K[0, 2]
             by = (to_end[1, 0] * x + to_end[1, 1] * y + to_end[1, 2]) / z * K[1, 1] + K[1, 2]
-            exposure[r, q] += np.sqrt((bx - ax) ** 2 + (by - ay) ** 2)
+            # Never nothing: a block that was in view counts as seen even where the camera stood still.
+            exposure[r, q] += max(0.05, np.sqrt((bx - ax) ** 2 + (by - ay) ** 2))
             r0, c0, r1, c1 = min(r0, r), min(c0, q), max(r1, r + 1), max(c1, q + 1)
     return r0, c0, r1, c1
 

@@ -36,6 +36,7 @@ from dvsviz.tracking.measure import WindowImages, measure
 from dvsviz.tracking.relocalize import relocalize
 from dvsviz.tracking.state import Motion, pack, unpack
 from dvsviz.tracking.traces import Trace
+from dvsviz.tracking.translation import ReliefOdometry
 
 Array = NDArray[np.float64]
 
@@ -75,6 +76,8 @@ class Tracker:
         self._free = free_parameters(self.config.motion)
         self._mapper = Mapper(camera, self._free, solve_normal=self.config.motion == "planar")
         self._motion = Motion.start()
+        self._gain = 1.0
+        self._relief = ReliefOdometry.start(camera) if self.config.motion == "translation" else None
 
     @property
     def window_size(self) -> int:
@@ -94,7 +97,11 @@ class Tracker:
         sampled = sample_window(window, c.TRACE_EVENTS, self.config.seed)
         mid_us = window.start_us + (window.end_us - window.start_us) // 2
         note = ""
-        if self._mapper.map is None:
+        if self._relief is not None and self._relief.not_a_plane is not False:
+            note = self._look_for_relief(window)
+        if self._drifts:
+            trace, alignment = self._drift(window, sampled, mid_us), None
+        elif self._mapper.map is None:
             trace, alignment = self._start(window, sampled, mid_us), None
         elif self._motion.status in (Status.LOST, Status.RELOCALIZING):
             trace, alignment, note = self._search(window, sampled, mid_us)
@@ -111,7 +118,7 @@ class Tracker:
             keyframe = self._mapper.add(trace, images.warped, overlap)
         elif self._motion.status is Status.WEAK:
             self._mapper.remember(trace)
-        if self._mapper.due():
+        if self._mapper.due() and not self._drifts:
             trace = self._mapper.refine(trace)
         if self._motion.status not in (Status.LOST, Status.RELOCALIZING):
             self._motion.T_world_camera, self._motion.omega, self._motion.velocity = (
@@ -155,8 +162,13 @@ class Tracker:
 
     def finish(self) -> TrackerUpdates:
         """Return the last updates, after a final refinement of everything."""
-        self._mapper.finish()
+        self._mapper.finish(refine=not self._drifts)
         return self._mapper.take_updates()
+
+    @property
+    def _drifts(self) -> bool:
+        """True where the scene was found to be no plane: poses are odometry, without a map to come back to."""
+        return self._relief is not None and bool(self._relief.not_a_plane)
 
     # --- finding the pose ----------------------------------------------------------------------------------
 
@@ -242,6 +254,30 @@ class Tracker:
             free=self._free,
         )
 
+    def _look_for_relief(self, window: EventWindow) -> str:
+        """Advance the odometry on a relief; return what it found out in this window, or ""."""
+        relief = self._relief
+        if relief is None:
+            return ""
+        undecided = relief.not_a_plane is None
+        solved = relief.step(window)
+        self._gain = solved.contrast_after / max(solved.contrast_before, 1e-12)
+        if not undecided or relief.not_a_plane is None:
+            return ""
+        percent = f"inverse depth {100 * relief.unevenness:.0f} % off the best plane"
+        if relief.not_a_plane:
+            return f"the scene is not a plane ({percent}): odometry on a relief, without a map to come back to"
+        return f"the scene is a plane ({percent})"
+
+    def _drift(self, window: EventWindow, sampled: tuple[NDArray[np.float32], Array], mid_us: int) -> Trace:
+        """Return the window moved on by the relief's velocity: odometry, no reference to come back to."""
+        dt = min((mid_us - self._motion.t_us) * 1e-6, 2e-3 * self.config.max_window_ms)
+        velocity = np.zeros(3) if self._relief is None else self._relief.velocity
+        mean = 0.5 * (self._motion.velocity + velocity)
+        self._motion.omega, self._motion.velocity = np.zeros(3), velocity
+        T = se3.propagate(self._motion.T_world_camera, np.zeros(3), mean, dt)
+        return self._trace(window, sampled, mid_us, T)
+
     def _search(
         self, window: EventWindow, sampled: tuple[NDArray[np.float32], Array], mid_us: int
     ) -> tuple[Trace, Alignment | None, str]:
@@ -280,6 +316,10 @@ class Tracker:
 
     def _judge(self, trace: Trace, alignment: Alignment | None, images: WindowImages) -> diagnose.Judgement:
         """Return what the numbers say of a window, and move the status."""
+        if self._drifts:
+            sharp = self._gain > c.RELIEF_GAIN
+            self._motion.status = Status.TRACKING if sharp else Status.WEAK
+            return replace(diagnose.Judgement.unknown(), confidence=0.5 if sharp else 0.1)
         if alignment is None:
             return diagnose.Judgement.unknown()
         agreed = diagnose.agreement(self._mapper.live_map, alignment.value, trace.T_world_camera, self.camera)
@@ -323,10 +363,11 @@ class Tracker:
 
     def _resize(self, displacement: float) -> None:
         """Move the window size towards the wanted image displacement."""
-        factor = np.clip(c.WINDOW_DISPLACEMENT_PX / max(displacement, 0.1), 1 / c.WINDOW_GROWTH, c.WINDOW_GROWTH)
-        self._motion.size = float(
-            np.clip(self._motion.size * np.sqrt(factor), c.WINDOW_EVENTS_MIN, c.WINDOW_EVENTS_MAX)
-        )
+        wanted = c.WINDOW_DISPLACEMENT_PX if self._relief is None else c.RELIEF_DISPLACEMENT_PX
+        factor = float(np.clip(wanted / max(displacement, 0.1), 1 / c.WINDOW_GROWTH, c.WINDOW_GROWTH))
+        # Far off, at once; near, gently, so that a single odd window does not change much.
+        factor = factor if displacement < 0.5 * wanted else float(np.sqrt(factor))
+        self._motion.size = float(np.clip(self._motion.size * factor, c.WINDOW_EVENTS_MIN, c.WINDOW_EVENTS_MAX))
 
     # --- checkpoints ---------------------------------------------------------------------------------------
 
