@@ -74,6 +74,9 @@ def test_wheel_says_what_it_is(wheel: Path) -> None:
     assert "dvsviz = dvsviz.cli:main" in archive.read(entry).decode()
 
 
-def test_installed_package_works_from_another_folder(installed: Path, tmp_path: Path) -> None:
+def test_installed_command_works_from_another_folder(installed: Path, tmp_path: Path) -> None:
     where = run(sys.executable, "-c", "import dvsviz; print(dvsviz.__file__)", cwd=tmp_path, path=installed)
     assert Path(where.stdout.strip()).is_relative_to(installed)
+    helped = run(sys.executable, "-m", "dvsviz", "--help", cwd=tmp_path, path=installed)
+    for command in ("info", "simulate", "track", "evaluate", "export", "serve"):
+        assert command in helped.stdout

@@ -1,0 +1,1 @@
+"""Registration of frames: features, relative poses by several methods, odometry, errors."""

@@ -1,0 +1,117 @@
+"""Features of a frame and their matches between two frames.
+
+SIFT descriptors are vectors of floats: they are compared by their Euclidean distance, with Lowe's ratio test. ORB's are
+bit strings and compared by the Hamming distance. Both keep mutual best matches only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from dvsviz.geometry.camera import Camera
+from dvsviz.registration.frames import Frame
+
+Array = NDArray[np.float64]
+FeatureKind = Literal["sift", "orb"]
+
+# Lowe's 0.8 lets through one wrong match in ten on indoor frames; 0.75 is the usual choice since.
+RATIO: dict[FeatureKind, float] = {"sift": 0.75, "orb": 0.8}
+MAX_FEATURES = 2000
+# A keypoint at a depth step has the depth of either side: none is better than the wrong one.
+_MAX_DEPTH_STEP = 0.03
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Features:
+    """Keypoints of one frame.
+
+    Attributes:
+        kind: what the descriptors are.
+        pixels: sensor pixels (N, 2).
+        bearings: undistorted bearings (N, 2).
+        descriptors: (N, 128) float32 of SIFT or (N, 32) uint8 of ORB.
+    """
+
+    kind: FeatureKind
+    pixels: Array
+    bearings: Array
+    descriptors: NDArray
+
+    def __len__(self) -> int:
+        return len(self.pixels)
+
+
+def detect(frame: Frame, camera: Camera, *, kind: FeatureKind = "sift", limit: int = MAX_FEATURES) -> Features:
+    """Return at most `limit` features of a frame, the strongest first."""
+    if kind == "sift":
+        detector = cv2.SIFT.create(nfeatures=limit)
+        width, dtype = 128, np.float32
+    else:
+        detector = cv2.ORB.create(nfeatures=limit)
+        width, dtype = 32, np.uint8
+    keypoints, descriptors = detector.detectAndCompute(frame.grey, None)
+    pixels = np.array([point.pt for point in keypoints], dtype=np.float64).reshape(-1, 2)
+    if descriptors is None:
+        descriptors = np.zeros((0, width), dtype)
+    return Features(
+        kind=kind, pixels=pixels, bearings=camera.bearings(pixels), descriptors=np.asarray(descriptors, dtype=dtype)
+    )
+
+
+def match(a: Features, b: Features, *, ratio: float | None = None) -> NDArray[np.int64]:
+    """Return pairs (M, 2) of feature numbers in `a` and `b` that are each other's best and pass the ratio test.
+
+    Raises:
+        ValueError: the features are of different kinds.
+    """
+    if a.kind != b.kind:
+        raise ValueError(f"features: expected one kind, got {a.kind} and {b.kind}")
+    if len(a) < 2 or len(b) < 2:
+        return np.zeros((0, 2), dtype=np.int64)
+    limit = RATIO[a.kind] if ratio is None else ratio
+    d = _distances(a, b)
+    rows = np.arange(len(a))
+    nearest = np.argmin(d, axis=1)
+    best = d[rows, nearest]
+    second = np.partition(d, 1, axis=1)[:, 1]
+    is_mutual = np.argmin(d, axis=0)[nearest] == rows
+    keep = is_mutual & (best < limit * second)
+    return np.column_stack([rows[keep], nearest[keep]])
+
+
+def _distances(a: Features, b: Features) -> NDArray[np.float32]:
+    """Return the distances (N, M) of all descriptors."""
+    if a.kind == "orb":
+        # One matrix product counts the differing bits: |x| + |y| - 2 x·y over bits.
+        x = np.unpackbits(a.descriptors, axis=1).astype(np.float32)
+        y = np.unpackbits(b.descriptors, axis=1).astype(np.float32)
+        return x.sum(1)[:, None] + y.sum(1)[None] - 2 * (x @ y.T)
+    x, y = a.descriptors, b.descriptors
+    square = (x * x).sum(1)[:, None] + (y * y).sum(1)[None] - 2 * (x @ y.T)
+    return np.sqrt(np.maximum(square, 0))
+
+
+def depth_at(frame: Frame, pixels: Array) -> Array:
+    """Return depths (N,) in metres at pixels (N, 2): the median of 3 x 3, NaN where unknown or at a depth step."""
+    if frame.depth is None or len(pixels) == 0:
+        return np.full(len(pixels), np.nan)
+    height, width = frame.depth.shape
+    column = np.clip(np.rint(pixels[:, 0]).astype(int), 0, width - 1)
+    row = np.clip(np.rint(pixels[:, 1]).astype(int), 0, height - 1)
+    step = np.arange(-1, 2)
+    rows = np.clip(row[:, None, None] + step[None, :, None], 0, height - 1)
+    columns = np.clip(column[:, None, None] + step[None, None, :], 0, width - 1)
+    patch = frame.depth[rows, columns].reshape(len(pixels), 9).astype(np.float64)
+    known = np.isfinite(patch)
+    enough = known.sum(axis=1) >= 5
+    depth = np.full(len(pixels), np.nan)
+    if np.any(enough):
+        depth[enough] = np.nanmedian(patch[enough], axis=1)
+        spread = np.nanmax(patch[enough], axis=1) - np.nanmin(patch[enough], axis=1)
+        depth[enough] = np.where(spread > _MAX_DEPTH_STEP * depth[enough], np.nan, depth[enough])
+    return depth
