@@ -47,6 +47,16 @@ class Alignment:
     step_px: float
 
 
+def free_parameters(motion: str) -> NDArray[np.bool_]:
+    """Return the mask (6,) of rotation and position that a motion model solves for."""
+    mask = np.ones(6, dtype=bool)
+    if motion == "translation":
+        mask[:3] = False
+    elif motion == "rotation":
+        mask[3:] = False
+    return mask
+
+
 def align(
     planar_map: PlanarMap,
     bearings: NDArray[np.float32],

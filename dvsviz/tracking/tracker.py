@@ -30,7 +30,7 @@ from dvsviz.geometry.plane import Plane
 from dvsviz.session.records import Status, TrackerUpdates, WindowResult
 from dvsviz.tracking import constants as c
 from dvsviz.tracking import diagnose
-from dvsviz.tracking.align import Alignment, align
+from dvsviz.tracking.align import Alignment, align, free_parameters
 from dvsviz.tracking.mapping import Mapper
 from dvsviz.tracking.measure import WindowImages, measure
 from dvsviz.tracking.relocalize import relocalize
@@ -41,16 +41,6 @@ from dvsviz.tracking.translation import ReliefOdometry
 Array = NDArray[np.float64]
 
 _AHEAD = np.array([0.0, 0.0, -1.0])
-
-
-def free_parameters(motion: str) -> NDArray[np.bool_]:
-    """Return the mask (6,) of rotation and position that a motion model solves for."""
-    mask = np.ones(6, dtype=bool)
-    if motion == "translation":
-        mask[:3] = False
-    elif motion == "rotation":
-        mask[3:] = False
-    return mask
 
 
 class Tracker:
@@ -77,7 +67,7 @@ class Tracker:
         self._mapper = Mapper(camera, self._free, solve_normal=self.config.motion == "planar")
         self._motion = Motion.start()
         self._gain = 1.0
-        self._relief = ReliefOdometry.start(camera) if self.config.motion == "translation" else None
+        self._relief = ReliefOdometry(camera) if self.config.motion == "translation" else None
 
     @property
     def window_size(self) -> int:
@@ -193,10 +183,13 @@ class Tracker:
         """Return the motion of a window by contrast alone, from a zero start."""
         step = max(1, len(window) // c.CONTRAST_EVENTS)
         signs = np.where(window.events.is_positive, np.float32(1), np.float32(-1))[::step]
+        # On integer pixels zero motion is an artificial maximum of the bilinear votes: dither removes it.
+        rng = np.random.default_rng((self.config.seed, window.index))
+        dither = rng.uniform(-0.5, 0.5, (len(signs), 2)) / (self.camera.fx, self.camera.fy)
         problem = ContrastProblem(
-            bearings=window.bearings[::step],
-            t_s=window.t_s[::step],
-            weights=signs,
+            bearings=(window.bearings[::step] + dither).astype(np.float32),
+            t_s=np.ascontiguousarray(window.t_s[::step]),
+            weights=np.ascontiguousarray(signs),
             camera=self.camera,
             duration_s=window.duration_s,
         )
@@ -373,7 +366,8 @@ class Tracker:
 
     def checkpoint(self) -> dict[str, np.ndarray]:
         """Return the whole state as named arrays, from which `restore` goes on with the same results."""
-        return pack(self._motion, self._mapper)
+        state = pack(self._motion, self._mapper)
+        return state if self._relief is None else state | self._relief.pack()
 
     @classmethod
     def restore(
@@ -392,4 +386,6 @@ class Tracker:
         """
         tracker = cls(camera, config)
         tracker._motion = unpack(state, camera, config.seed, tracker._mapper, source)
+        if tracker._relief is not None:
+            tracker._relief.unpack(state)
         return tracker

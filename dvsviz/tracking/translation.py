@@ -6,7 +6,7 @@ plane, the map is given up as a reference, the velocities come from here, and th
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +19,10 @@ from dvsviz.tracking import constants as c
 Array = NDArray[np.float64]
 
 
-@dataclass(slots=True, kw_only=True, eq=False)
 class ReliefOdometry:
     """Velocity and relief from window to window.
 
     Attributes:
-        camera: of the windows.
         velocity: last velocity (3,), camera frame, mean distances per second.
         relief: last log inverse depth (rows, columns).
         windows: windows seen.
@@ -33,18 +31,30 @@ class ReliefOdometry:
         not_a_plane: None while undecided.
     """
 
-    camera: Camera
-    velocity: Array
-    relief: Array
-    windows: int = 0
-    seen: int = 0
-    unevenness: float = 0.0
-    not_a_plane: bool | None = None
+    def __init__(self, camera: Camera) -> None:
+        self.camera = camera
+        self.velocity: Array = np.zeros(3)
+        self.relief: Array = np.zeros(grid_shape(camera))
+        self.windows = 0
+        self.seen = 0
+        self.unevenness = 0.0
+        self.not_a_plane: bool | None = None
 
-    @classmethod
-    def start(cls, camera: Camera) -> ReliefOdometry:
-        """Return the odometry before the first window: still, before a flat scene."""
-        return cls(camera=camera, velocity=np.zeros(3), relief=np.zeros(grid_shape(camera)))
+    def pack(self) -> dict[str, np.ndarray]:
+        """Return the state as arrays that `unpack` reads."""
+        decided = -1 if self.not_a_plane is None else int(self.not_a_plane)
+        return {
+            "relief": self.relief,
+            "relief_velocity": self.velocity,
+            "relief_numbers": np.array([self.windows, self.seen, self.unevenness, decided], dtype=np.float64),
+        }
+
+    def unpack(self, state: Mapping[str, np.ndarray]) -> None:
+        """Take over a packed state."""
+        self.relief, self.velocity = np.array(state["relief"]), np.array(state["relief_velocity"])
+        windows, seen, self.unevenness, decided = (float(v) for v in state["relief_numbers"])
+        self.windows, self.seen = int(windows), int(seen)
+        self.not_a_plane = None if decided < 0 else decided > 0
 
     def step(self, window: EventWindow) -> Relief:
         """Return the translation and relief of a window, referred to its middle."""
