@@ -1,0 +1,1 @@
+"""Motion and observation models: each a function that states its equation."""
