@@ -6,13 +6,14 @@ import argparse
 import logging
 import sys
 from pathlib import Path
+from typing import ClassVar
 
 from rich.console import Console
-from rich.progress import Progress
+from rich.progress import Progress, TaskID
 
 from dvsviz.errors import DvsvizError
 from dvsviz.gateway.app import DEFAULT_PORT, serve
-from dvsviz.gateway.demo import demo_path, demo_recording
+from dvsviz.gateway.runs import Run, Stage
 
 _errors = Console(stderr=True)
 
@@ -31,9 +32,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--no-browser", action="store_true", help="print the address only")
     options = parser.parse_args(arguments)
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(message)s", stream=sys.stderr)
+    bar = _Bar()
     try:
-        if not options.paths:
-            _make_demo(options.sessions)
         serve(
             options.paths,
             sessions_dir=options.sessions,
@@ -42,12 +42,15 @@ def main(arguments: list[str] | None = None) -> int:
             open_browser=not options.no_browser,
             demo=not options.paths,
             ready=_show,
+            told=bar.show,
         )
     except DvsvizError as error:
         _errors.print(f"[red]error[/red] {error}", highlight=False, soft_wrap=True)
         return 2
     except KeyboardInterrupt:
         return 130
+    finally:
+        bar.stop()
     return 0
 
 
@@ -57,13 +60,34 @@ def _show(address: str) -> None:
     sys.stdout.flush()
 
 
-def _make_demo(sessions: Path) -> None:
-    """Simulate the demo recording with a progress bar, the first time."""
-    if demo_path(sessions).exists():
-        return
-    with Progress(console=_errors, transient=True) as bar:
-        task = bar.add_task("Simulating a 10 s demo recording, once", total=1.0)
-        demo_recording(sessions, lambda share: bar.update(task, completed=share))
+class _Bar:
+    """What the terminal shows until a run tracks; from then on the page is where to look."""
+
+    _TEXTS: ClassVar = {
+        Stage.SIMULATING: "Simulating a 10 s demo recording, once",
+        Stage.COMPILING: "Getting the tracker ready (kernels are compiled the first time)",
+    }
+
+    def __init__(self) -> None:
+        self._progress = Progress(console=_errors, transient=True)
+        self._task: TaskID | None = None
+
+    def show(self, run: Run) -> None:
+        """Show how far a run is; from any thread."""
+        if run.stage is Stage.TRACKING:
+            return self.stop()
+        if self._task is None:
+            self._task = self._progress.add_task("")
+            self._progress.start()
+        share = run.progress.get("share")
+        total = None if share is None else 1.0
+        self._progress.update(self._task, description=self._TEXTS[run.stage], total=total, completed=share or 0.0)
+
+    def stop(self) -> None:
+        """Take the bar away."""
+        if self._task is not None:
+            self._task = None
+            self._progress.stop()
 
 
 if __name__ == "__main__":

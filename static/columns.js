@@ -118,6 +118,13 @@ export class Columns {
     return pyramid !== undefined && pyramid.range(0, this.count)[0] !== Infinity;
   }
 
+  /** The window after the last one, of the newest `most`, in which a column is a number. */
+  knownTo(name, most) {
+    const values = this.#data[name];
+    for (let i = this.count - 1; values && i >= Math.max(0, this.count - most); i--) if (Number.isFinite(values[i])) return i + 1;
+    return Math.max(0, this.count - most);
+  }
+
   /** The first window that starts at `seconds` or later. */
   firstAt(seconds) {
     const t = this.#data.t_s;

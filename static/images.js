@@ -6,7 +6,7 @@ import { fixed, whole } from "./format.js";
 export const KINDS = [
   { kind: "raw", name: "raw", title: "The window's events as they were recorded, undistorted", note: (v) => `${whole(v.events)} events` },
   { kind: "warped", name: "warped", title: "The same events moved back along the estimated velocity: sharp where it is right", note: (v) => `contrast ×${fixed(v.contrast_after / v.contrast_before)}` },
-  { kind: "map", name: "on map", title: "The warped window on the map seen from its pose: edges that the map explains, and those that it does not", note: () => "" },
+  { kind: "map", name: "on map", title: "The warped window on the newest map seen from its refined pose: edges that the map explains, and those that it does not", note: () => "" },
   { kind: "texture", name: "texture", title: "The map as it was at this window", note: () => "" },
 ];
 

@@ -53,7 +53,7 @@ socket.addEventListener("open", () => {
   state.set({ connected: true });
   showBanner(null);
   seeker.reset();
-  if (!state.session) return;
+  if (!state.session || state.waiting) return;
   socket.send({ type: "open", session: state.session });
   socket.send({ type: "layers", layers: state.layers });
   viewing.ask();
@@ -84,9 +84,10 @@ socket.addEventListener("images", ({ detail }) => {
 function listed(sessions) {
   const first = state.sessions === null;
   state.set({ sessions });
+  viewing.listed();
   if (!state.session && !readAddress().session && sessions.length) {
-    const best = sessions.find(({ state: is }) => is === "live") ?? sessions[0];
-    viewing.open(best.name);
+    const first = ["live", "starting", "queued"].map((wanted) => sessions.find(({ state: is }) => is === wanted));
+    viewing.open((first.find(Boolean) ?? sessions[0]).name);
   } else if (first && !sessions.length) {
     showEmpty("No sessions yet", "Track a recording, and it appears here while it is being tracked:", make("pre", {}, "dvsviz track RECORDING"), "A recording is an HDF5 file, a folder or a zip in the UZH format, or a simulated one: dvsviz simulate --out r.h5");
   }
@@ -104,7 +105,7 @@ function flash(text) {
 state.watch(["session", "detail", "sessions"], () => {
   const entry = state.sessions?.find(({ name }) => name === state.session);
   setText(byId("title"), state.session ?? "");
-  const parts = entry ? [entry.recording, `${entry.width}×${entry.height}`, duration(entry.duration_s), `${amount(entry.events)} events`] : [];
+  const parts = entry?.width ? [entry.recording, `${entry.width}×${entry.height}`, duration(entry.duration_s), `${amount(entry.events)} events`] : [];
   if (state.detail?.state === "incomplete") parts.push("incomplete");
   setText(byId("subtitle"), parts.join(" · "));
   document.title = state.session ? `${state.session} · dvsviz` : "dvsviz";

@@ -43,7 +43,8 @@ const FACTS = [
 
 export class Numbers {
   constructor(state) {
-    const head = make("tr", {}, make("th", {}), ...["estimate", "truth"].map((text) => make("th", { colspan: 3, scope: "col" }, text)), make("th", { scope: "col", title: "How far estimate and truth are apart" }, "±"));
+    this.estimate = make("th", { colspan: 3, scope: "col" }, "estimate");
+    const head = make("tr", {}, make("th", {}), this.estimate, make("th", { colspan: 3, scope: "col", title: "Ground truth laid on the estimate; velocities are its differences over the window" }, "truth"), make("th", { scope: "col", title: "How far estimate and truth are apart" }, "±"));
     this.rows = ROWS.map((row) => ({ ...row, cells: Array.from({ length: 7 }, () => make("td", {})) }));
     this.facts = FACTS.map(([name, title, of, onlyTruth = false]) => ({ of, onlyTruth, cell: make("dd", {}), name: make("dt", { title }, name) }));
     this.weak = make("p", { class: "weak" });
@@ -64,6 +65,8 @@ export class Numbers {
     this.body.hidden = !values;
     if (!values) return;
     const { truth } = values;
+    setText(this.estimate, values.refined ? "estimate, refined" : "estimate");
+    this.estimate.title = values.refined ? "The pose after the last refinement, as in the evaluation, the scene and the picture on the map" : "The pose as it was found; no refinement has moved it";
     this.table.classList.toggle("no-truth", !truth);
     for (const { of, apart, cells } of this.rows) {
       const estimate = of(values) ?? ["–", "–", "–"];

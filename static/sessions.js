@@ -7,8 +7,9 @@ import { BY_BADNESS, STATES } from "./status.js";
 
 const SPARK = { width: 192, height: 12, calm: 4 };
 const ORDER = ["initializing", "tracking", "weak", "lost", "relocalizing"];
-const WORDS = { live: "live", incomplete: "incomplete", queued: "queued" };
-const MEANINGS = { live: "Being tracked now", incomplete: "The run ended early: what was written is here", queued: "Waits for its turn" };
+const WORDS = { live: "live", incomplete: "incomplete", queued: "queued", starting: "starting", failed: "failed" };
+const MEANINGS = { live: "Being tracked now", incomplete: "The run ended early: what was written is here", queued: "Waits for its turn", starting: "Its first window is on the way", failed: "The run ended before its first window" };
+const WITHOUT_WINDOWS = { queued: "waits for its turn", starting: "getting ready", failed: "not tracked" };
 
 export class Sessions {
   #rows = new Map();
@@ -84,7 +85,7 @@ export class Sessions {
     const badge = WORDS[entry.state] ? make("span", { class: `badge ${entry.state}-badge`, title: MEANINGS[entry.state] }, WORDS[entry.state]) : null;
     const losses = entry.losses ? ` · lost ${entry.losses === 1 ? "once" : `${entry.losses}×`}` : "";
     const about = entry.width ? `${entry.width}×${entry.height} · ${duration(entry.duration_s)} · ${amount(entry.events)} events` : entry.recording;
-    const tracked = entry.windows ? `${percent(entry.tracked_share)} tracked${losses}` : entry.state === "queued" ? "waits for its turn" : "no windows yet";
+    const tracked = entry.windows ? `${percent(entry.tracked_share)} tracked${losses}` : WITHOUT_WINDOWS[entry.state] ?? "no windows yet";
     const row = make(
       "li",
       {},

@@ -11,6 +11,7 @@ const START = {
   values: null,        // numbers of the shown window
   playing: false,
   speed: 1,
+  waiting: false,      // its run has not begun the session yet
   live: false,         // the session is being written
   following: false,    // the playhead stays at the end
   progress: null,      // of the run that writes it

@@ -3,10 +3,12 @@
 import * as api from "./api.js";
 import { Columns } from "./columns.js";
 import { showEmpty } from "./door.js";
+import { isWaiting, waitingWords } from "./waiting.js";
 import { KINDS } from "./images.js";
 import { STATES } from "./status.js";
 
 const BETWEEN_FETCHES_MS = 200;
+const LATE = 400; // windows whose errors may still come
 const AGAIN_UNKNOWN = "The server does not know this browser any more.";
 
 export class Viewing {
@@ -28,12 +30,15 @@ export class Viewing {
   async open(name, window = null) {
     const { state, images, timeline } = this;
     const mine = ++this.#opening;
+    const entry = state.sessions?.find((session) => session.name === name);
+    const waiting = isWaiting(entry);
     this.transport.pause();
     this.seeker.reset();
-    images.clear("loading");
-    state.set({ session: name, detail: null, columns: null, windows: 0, window: 0, shown: null, values: null, live: false, following: false, progress: null, loop: null, problem: null });
+    images.clear(waiting ? "" : "loading");
+    state.set({ session: name, waiting, detail: null, columns: null, windows: 0, window: 0, shown: null, values: null, live: false, following: false, progress: null, loop: null, problem: null });
     timeline.setLoop(null);
     timeline.show({ columns: null, detail: null }, true);
+    if (waiting) return showEmpty(...waitingWords(entry, state.sessions));
     showEmpty(null);
     try {
       const detail = await api.session(name, this.socket.tab);
@@ -56,6 +61,16 @@ export class Viewing {
     } catch (error) {
       if (mine === this.#opening) this.#refuse(error, name);
     }
+  }
+
+  /** The list of sessions is another one: a run that is waited for may have begun its session. */
+  listed() {
+    const { state } = this;
+    if (!state.waiting) return;
+    const entry = state.sessions.find(({ name }) => name === state.session);
+    if (!entry) return showEmpty("This run was stopped", "It ended before its first window. Choose a session from the list.");
+    if (isWaiting(entry)) showEmpty(...waitingWords(entry, state.sessions));
+    else this.open(state.session);
   }
 
   #nothingYet(live) {
@@ -148,15 +163,17 @@ export class Viewing {
     try {
       const detail = await api.session(session, this.socket.tab);
       const live = detail.state === "live";
-      // At the end refined poses and errors of all windows are known: everything is read again.
-      const answer = await api.columns(session, live ? columns.count : 0);
+      // The errors of the last windows come late; at the end refined poses and errors of all windows are known.
+      const answer = await api.columns(session, !live ? 0 : detail.ground_truth ? columns.knownTo("error_percent", LATE) : columns.count);
       if (mine !== this.#opening) return;
       columns.append(answer);
       const first = !state.windows && columns.count > 0;
+      const moved = !live || detail.map_revisions.length !== state.detail?.map_revisions.length;
       state.set({ detail, windows: columns.count, live });
       if (first) showEmpty(null);
       this.timeline.show(state);
-      if (columns.count && (state.following || first)) this.seek(columns.count - 1, first);
+      if (columns.count && (state.following || first)) this.seek(columns.count - 1, first || moved);
+      else if (moved) this.ask(); // the poses were refined, the map is another one
       if (!live) state.set({ following: false, progress: null });
     } catch (error) {
       if (error.isDoor) this.door(AGAIN_UNKNOWN);

@@ -122,12 +122,12 @@ def test_explained_and_unexplained_edges_differ() -> None:
         distance=1.0,
     )
     window = window_of([(5, 10)] * 3 + [(40, 20)] * 3)
-    rgb = images.overlay_picture(window, still(), revision, CAMERA, ImageOptions()).rgb()
+    rgb = images.overlay_picture(window, still(), revision, still().T_world_camera, CAMERA, ImageOptions()).rgb()
     np.testing.assert_allclose(rgb[10, 5], images.EXPLAINED, atol=3)
     np.testing.assert_allclose(rgb[20, 40], images.UNEXPLAINED, atol=3)
     np.testing.assert_allclose(rgb[25, 5], images.MAP, atol=3)
     np.testing.assert_allclose(rgb[5, 40], images.BACKGROUND, atol=3)
-    bare = images.overlay_picture(window, still(), None, CAMERA, ImageOptions()).rgb()
+    bare = images.overlay_picture(window, still(), None, still().T_world_camera, CAMERA, ImageOptions()).rgb()
     np.testing.assert_allclose(bare[10, 5], images.UNEXPLAINED, atol=3)
 
 

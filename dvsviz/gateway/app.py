@@ -8,7 +8,6 @@ import os
 import socket
 import sys
 import threading
-import time
 import webbrowser
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -18,7 +17,7 @@ import uvicorn
 import dvsviz
 from dvsviz.errors import DvsvizError
 from dvsviz.formats.open import open_recording
-from dvsviz.gateway.demo import demo_recording
+from dvsviz.gateway.demo import demo_path
 from dvsviz.gateway.exports import Exports
 from dvsviz.gateway.library import Library
 from dvsviz.gateway.routes import Routes
@@ -36,8 +35,6 @@ DEFAULT_PORT = 8765
 # 5,000 windows of 240x180 with three images each are about 80 MB.
 _CACHE_BYTES = 96 * 1024 * 1024
 _STOP_S = 3
-# A run takes about three seconds to begin, the very first one longer: kernels are compiled.
-_DEMO_WAIT_S = 8.0
 
 
 def serve(
@@ -49,6 +46,7 @@ def serve(
     open_browser: bool = True,
     demo: bool = False,
     ready: Callable[[str], None] | None = None,
+    told: Callable[[Run], None] | None = None,
 ) -> None:
     """Show sessions in the browser until Ctrl-C; recordings among the paths are tracked live.
 
@@ -60,14 +58,13 @@ def serve(
         open_browser: open the page in the browser where there is one.
         demo: track the demo recording anew, so that there is something to see.
         ready: called with the address, token and all, once the server listens.
+        told: called with a run whenever it told how far it is, from another thread.
 
     Raises:
         DvsvizError: the port is in use, or a path is neither recording nor session.
     """
-    dashboard = Dashboard(paths, sessions_dir=sessions_dir, host=host, port=port, demo=demo)
+    dashboard = Dashboard(paths, sessions_dir=sessions_dir, host=host, port=port, demo=demo, told=told)
     try:
-        if demo:
-            dashboard.wait_for_first_session(_DEMO_WAIT_S)
         if ready is not None:
             ready(dashboard.address)
         if open_browser and _has_browser():
@@ -87,7 +84,8 @@ class Dashboard:
         sessions_dir: where sessions are listed and written.
         host: address to listen at.
         port: port to listen at; 0 takes any.
-        demo: track the demo recording anew.
+        demo: track the demo recording anew; it is simulated the first time.
+        told: called with a run whenever it told how far it is, from another thread.
 
     Raises:
         DvsvizError: the port is in use, or a path is neither recording nor session.
@@ -101,6 +99,7 @@ class Dashboard:
         host: str = "127.0.0.1",
         port: int = DEFAULT_PORT,
         demo: bool = False,
+        told: Callable[[Run], None] | None = None,
     ) -> None:
         self._socket = _listen(host, port)
         try:
@@ -115,7 +114,7 @@ class Dashboard:
         self._keys = Keys(bound)
         shown_host = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(host, f"[{host}]" if ":" in host else host)
         self.address = f"http://{shown_host}:{bound}/#token={self._keys.token}"
-        self.runs = Runs(self._run_changed)
+        self.runs = Runs(self._run_changed, told)
         self._library = Library(sessions_dir, self.runs)
         self._tabs = Tabs(self._library, ImageCache(_CACHE_BYTES))
         self._exports = Exports()
@@ -124,7 +123,9 @@ class Dashboard:
         self._watch = Watch(self._library, self._tabs)
         for order in orders:
             self._library.add_recording(order.recording)
-        self._first = [self.runs.add(order) for order in orders]
+        for order in orders:
+            self.runs.add(order)
+        self._watch.refresh_list()
         self._routes = Routes(
             keys=self._keys,
             library=self._library,
@@ -153,13 +154,6 @@ class Dashboard:
         """Answer until `stop`, or in the main thread until Ctrl-C."""
         self._watch.start()
         self._server.run(sockets=[self._socket])
-
-    def wait_for_first_session(self, timeout_s: float) -> None:
-        """Wait until the first run has begun its session, so that the page opens on it; or for the timeout."""
-        end = time.monotonic() + timeout_s
-        while time.monotonic() < end and not all(run.order.out.exists() or run.error for run in self._first[:1]):
-            time.sleep(0.05)
-        self._watch.refresh_list()
 
     def stop(self) -> None:
         """Make `run` return soon; from any thread."""
@@ -237,11 +231,11 @@ def _sorted(paths: Sequence[Path], sessions_dir: Path) -> tuple[list[RunOrder], 
 
 
 def _demo_order(sessions_dir: Path) -> RunOrder:
-    recording = demo_recording(sessions_dir)
+    recording = demo_path(sessions_dir)
     out = sessions_dir / f"{recording.stem}.h5"
     # The demo is there to be seen tracking: what an earlier start left would only be shown until it is overwritten.
     out.unlink(missing_ok=True)
-    return RunOrder(recording=recording, out=out, force=True)
+    return RunOrder(recording=recording, out=out, force=True, demo=True)
 
 
 def _has_browser() -> bool:

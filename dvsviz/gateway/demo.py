@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from dvsviz.simulate.simulate import simulate
-
 SECONDS = 10.0
 
 
@@ -15,15 +13,17 @@ def demo_path(sessions_dir: Path) -> Path:
     return sessions_dir / "recordings" / "demo.h5"
 
 
-def demo_recording(sessions_dir: Path, progress: Callable[[float], None] | None = None) -> Path:
-    """Return the demo recording's path; it is simulated where it is not there yet.
+def demo_recording(path: Path, progress: Callable[[float], None] | None = None) -> None:
+    """Simulate the demo recording where it is not there yet.
 
     Args:
-        sessions_dir: where sessions are kept.
+        path: where it lies.
         progress: called with the share (0 to 1) that is done.
     """
-    path = demo_path(sessions_dir)
-    if not path.exists():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        simulate(path, scene="shapes", motion="handheld", seconds=SECONDS, seed=1, progress=progress)
-    return path
+    if path.exists():
+        return
+    # Its kernels take seconds to import: not before they are needed.
+    from dvsviz.simulate.simulate import simulate
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    simulate(path, scene="shapes", motion="handheld", seconds=SECONDS, seed=1, progress=progress)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from dvsviz.errors import DvsvizError, SessionError
 from dvsviz.events.recording import Recording
 from dvsviz.formats.open import open_recording
-from dvsviz.gateway.runs import Run, Runs, RunState
+from dvsviz.gateway.runs import Run, Runs, RunState, Stage
 from dvsviz.pipeline import summarize
 from dvsviz.session.records import STATUSES, Status
 from dvsviz.session.store import Session, open_session
@@ -82,7 +82,7 @@ class Library:
             paths = dict(self._paths)
         entries = [entry for name, path in paths.items() if (entry := self._entry(name, path)) is not None]
         known = {entry["name"] for entry in entries}
-        waiting = [_queued(run) for run in self._runs.queued() if run.order.name not in known]
+        waiting = [_waiting(run) for run in self._runs.without_session() if run.order.name not in known]
         return [*sorted(entries, key=lambda entry: entry["created"], reverse=True), *waiting]
 
     def open(self, name: str) -> ShownSession:
@@ -252,8 +252,10 @@ def sparkline(status: NDArray[np.uint8]) -> list[int]:
     return [int(number) for number in np.argsort(_BADNESS)[worst]]
 
 
-def _queued(run: Run) -> dict[str, Any]:
+def _waiting(run: Run) -> dict[str, Any]:
+    """Return the entry of a run that has no session yet."""
     order = run.order
+    begun = {RunState.RUNNING: "starting", RunState.PAUSED: "starting"}
     return {
         "name": order.name,
         "recording": order.recording.stem,
@@ -265,7 +267,11 @@ def _queued(run: Run) -> dict[str, Any]:
         "windows": 0,
         "tracked_share": None,
         "losses": 0,
-        "state": str(RunState.QUEUED),
+        "state": begun.get(run.state, str(run.state)),
+        "stages": [str(stage) for stage in Stage if order.demo or stage is not Stage.SIMULATING],
+        "stage": str(run.stage),
+        "share": run.progress.get("share"),
+        "error": run.error,
         "sparkline": [],
         "has_ground_truth": False,
         "created": "",

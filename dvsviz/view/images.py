@@ -97,6 +97,7 @@ def overlay_picture(
     window: EventWindow,
     result: WindowResult,
     map_revision: MapRevision | None,
+    T_world_camera: NDArray[np.float64],
     camera: Camera,
     options: ImageOptions,
 ) -> Picture:
@@ -104,13 +105,23 @@ def overlay_picture(
 
     Edges that the map has are drawn in `EXPLAINED`, others in `UNEXPLAINED`, the map itself in grey.
     Without a map every edge is unexplained.
+
+    Args:
+        window: its events.
+        result: its velocity.
+        map_revision: a map, or None.
+        T_world_camera: the window's pose (4, 4) as it is known when that map holds.
+        camera: of the session.
+        options: how it is drawn.
     """
+    if map_revision is not None:
+        result = replace(result, T_world_camera=T_world_camera, normal_world=map_revision.normal_world)
     votes = _warped(window, result, camera, options, None)
     level = _tone(votes, _peak(votes)) // 3  # three ramps of 85 colours share the palette
     palette = _three_ramps(UNEXPLAINED, EXPLAINED, MAP)
     if map_revision is None:
         return Picture(pixels=level, palette=palette)
-    seen = map_seen_from(map_revision, result.T_world_camera, scaled_camera(camera, options.scale))
+    seen = map_seen_from(map_revision, T_world_camera, scaled_camera(camera, options.scale))
     reach = 2 * EDGE_REACH_PX * options.scale + 1
     explained = cv2.dilate(seen, np.ones((reach, reach), np.uint8)) >= EDGE_LEVEL
     pixels = np.where(level > 13, level + 86 * explained, 172 + seen // 4)

@@ -162,8 +162,9 @@ class Renderer(threading.Thread):
         self, shown: ShownSession, window: int, kind: ImageKind, options: ImageOptions
     ) -> EncodedImage | None:
         """Return one image, from the cache where it is there."""
-        # A live session may get a new map after a window was drawn on the old one.
-        on_map = shown.map_number(window) if kind in (ImageKind.MAP, ImageKind.TEXTURE) else -1
+        # A live session gets new maps after a window was drawn on an old one.
+        maps = {ImageKind.MAP: shown.map_now(), ImageKind.TEXTURE: shown.map_number(window)}
+        on_map = maps.get(kind, -1)
         # All windows between two revisions share one texture.
         place = -1 if kind is ImageKind.TEXTURE else window
         key = (shown.generation, place, kind, options, on_map)

@@ -110,6 +110,8 @@ class TabScene:
             if self._shown is shown:
                 with self._server.atomic():
                     self._grow(shown)
+                    if time.monotonic() - self._map_at >= _MAP_EVERY_S:
+                        self._show_map(shown)
                 self._server.flush()
 
     def show(self, drawn: Drawn) -> None:
@@ -124,7 +126,7 @@ class TabScene:
                 if now - self._image_at >= _IMAGE_EVERY_S:
                     self._show_image(drawn)
                 if now - self._map_at >= _MAP_EVERY_S:
-                    self._show_map(shown, drawn.seek.window)
+                    self._show_map(shown)
             self._server.flush()
 
     def settle(self, drawn: Drawn) -> None:
@@ -136,7 +138,7 @@ class TabScene:
             with self._server.atomic():
                 self._move_frustum(shown, window)
                 self._show_image(drawn)
-                self._show_map(shown, window)
+                self._show_map(shown)
             self._server.flush()
 
     def set_layers(self, layers: dict[str, bool]) -> None:
@@ -282,11 +284,12 @@ class TabScene:
             self._image, self._image_at = shown, time.monotonic()
             frustum.image = geometry3d.thumbnail(chosen[0].data)
 
-    def _show_map(self, shown: ShownSession, window: int) -> None:
-        number = shown.map_number(window)
+    def _show_map(self, shown: ShownSession) -> None:
+        """Show the newest map: trajectory and frustum are as refined with it, whatever window they stand at."""
+        number = shown.map_now()
         if number == self._map:
             return
-        revision = shown.map_at(window)
+        revision = shown.newest_map()
         self._map, self._map_at = number, time.monotonic()
         if revision is None:
             if (old := self._handles.pop("map", None)) is not None:

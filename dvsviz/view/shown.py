@@ -34,6 +34,7 @@ _AXES = (
 )
 _MAPS_KEPT = 6
 _ERRORS_EVERY_S = 2.0
+_TRUTH_STEP_US = 20_000
 
 
 class ImageKind(StrEnum):
@@ -173,8 +174,9 @@ class ShownSession:
     def map_at(self, window: int) -> MapRevision | None:
         """Return the map that held at a window; the last few are kept."""
         number = self.map_number(window)
-        if number < 0:
-            return None
+        return None if number < 0 else self._map(number)
+
+    def _map(self, number: int) -> MapRevision:
         with self._lock:
             if number not in self._maps:
                 self._maps[number] = self.session.map_revision(number)
@@ -202,6 +204,15 @@ class ShownSession:
             )
             return self._window
 
+    def map_now(self) -> int:
+        """Return the number of the newest map revision, the one that belongs with the refined poses; -1 without."""
+        return self._revisions[-1][1] if self._revisions else -1
+
+    def newest_map(self) -> MapRevision | None:
+        """Return the newest map: plane and texture fit the poses as they are known now."""
+        number = self.map_now()
+        return None if number < 0 else self._map(number)
+
     def picture(self, window: int, kind: ImageKind, options: ImageOptions) -> Picture | None:
         """Return one picture of a window, or None where it cannot be drawn."""
         if kind is ImageKind.TEXTURE:
@@ -218,11 +229,17 @@ class ShownSession:
             case ImageKind.WARPED:
                 return images.warped_picture(events, result, camera, options)
             case ImageKind.MAP:
-                return images.overlay_picture(events, result, self.map_at(window), camera, options)
+                # An older map lies on an older plane, and lacks what was seen since.
+                T = self.poses()[window]
+                return images.overlay_picture(events, result, self.newest_map(), T, camera, options)
 
     def values(self, window: int) -> dict[str, Any]:
-        """Return the numbers beside a window's images, ready for JSON (None where one is not known)."""
+        """Return the numbers beside a window's images, ready for JSON (None where one is not known).
+
+        The pose is the refined one, that of the evaluation, the trajectory and the picture on the map.
+        """
         r = self.result(window)
+        T = self.poses()[window]
         with self._lock:
             truth = self.errors() if self._has_truth else None
             first_us = self.session.header.first_us
@@ -230,10 +247,11 @@ class ShownSession:
         return {
             "status": str(r.status),
             "t_s": (r.start_us - first_us) * 1e-6,
-            **_pose_values(r.T_world_camera),
+            **_pose_values(T),
+            "refined": not np.array_equal(T, r.T_world_camera),
             "omega": _numbers(r.omega),
             "velocity": _numbers(r.velocity),
-            "truth": _truth_values(truth.truth_world, r.start_us) if truth else None,
+            "truth": _truth_values(truth.truth_world, r.start_us, r.end_us) if truth else None,
             "events": r.end_event - r.first_event,
             "event_rate_hz": _number(r.event_rate_hz),
             "contrast_before": _number(r.contrast_before),
@@ -290,12 +308,25 @@ def _pose_values(T_world_camera: NDArray[np.float64]) -> dict[str, Any]:
     }
 
 
-def _truth_values(truth: Trajectory | None, t_us: int) -> dict[str, Any] | None:
-    """Return the true pose in the session's world."""
-    at = np.array([t_us], dtype=np.int64)
-    if truth is None or not truth.covers(at)[0]:
+def _truth_values(truth: Trajectory | None, start_us: int, end_us: int) -> dict[str, Any] | None:
+    """Return the true pose in the session's world, and the true velocities over the window in the camera frame."""
+    if truth is None:
         return None
-    return _pose_values(truth.at(at).Ts_world_camera[0])
+    at = np.array([start_us], dtype=np.int64)
+    if not truth.covers(at)[0]:
+        return None
+    values = _pose_values(truth.at(at).Ts_world_camera[0]) | {"omega": None, "velocity": None}
+    # A window of a millisecond holds no two poses of the truth: it is made wider, within what is known.
+    wider_us = max(0, _TRUTH_STEP_US - (end_us - start_us)) // 2
+    ends = np.clip(
+        np.array([start_us - wider_us, end_us + wider_us], dtype=np.int64), truth.t_us[0], truth.t_us[-1]
+    )
+    if ends[1] > ends[0]:
+        before, after = truth.at(ends).Ts_world_camera
+        seconds = (ends[1] - ends[0]) * 1e-6
+        values["omega"] = _numbers(se3.log_so3(before[:3, :3].T @ after[:3, :3]) / seconds)
+        values["velocity"] = _numbers(before[:3, :3].T @ (after[:3, 3] - before[:3, 3]) / seconds)
+    return values
 
 
 def _number(value: float) -> float | None:
