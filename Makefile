@@ -4,13 +4,17 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: run test install browser lint clean
+.PHONY: run test nightly install browser lint clean
 
 run: $(STAMP)
 	$(BIN)/python app.py
 
 test: $(STAMP) browser lint
 	$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+# Hours: damaged files of every format, 2,000 of each.
+nightly: $(STAMP)
+	$(BIN)/python tests/fuzz_formats.py --cases 2000
 
 install: $(STAMP) browser
 
