@@ -240,3 +240,25 @@ def test_dvs_msgs_bag(tmp_path: Path, events: Events, version: int) -> None:
     truth = open_recording(path, topic="/dvs/events").ground_truth
     assert truth is not None
     np.testing.assert_array_equal(truth.positions, [[1, 2, 0], [1, 2, 500], [1, 2, 1000]])
+
+
+@pytest.mark.parametrize("compression", ["NONE", "LZ4", "ZSTD"])
+def test_aedat4_that_lost_bytes(tmp_path: Path, compression: str) -> None:
+    # Such a file sent the library's decompression into a loop without end.
+    dv = pytest.importorskip("dv_processing", reason="dv-processing has no wheel for this machine")
+    kind = getattr(dv.CompressionType, compression)
+    writer = dv.io.MonoCameraWriter(
+        str(tmp_path / "a.aedat4"), dv.io.MonoCameraWriter.EventOnlyConfig("c", (64, 48), kind)
+    )
+    store = dv.EventStore()
+    for i in range(5000):
+        store.push_back(i, i % 64, i % 48, i % 3 == 0)
+    writer.writeEvents(store)
+    del writer
+    assert open_recording(tmp_path / "a.aedat4").events.count == 5000
+    data = (tmp_path / "a.aedat4").read_bytes()
+    middle = len(data) // 2
+    for name, damaged in (("b", data[:middle] + data[middle + 7 :]), ("c", data[:-9]), ("d", data[:40])):
+        (tmp_path / f"{name}.aedat4").write_bytes(damaged)
+        with pytest.raises(FormatError, match=rf"{name}\.aedat4.*(damaged|outside)"):
+            open_recording(tmp_path / f"{name}.aedat4")

@@ -9,6 +9,7 @@ import numpy as np
 
 from dvsviz.errors import FormatError
 from dvsviz.events.recording import Imu
+from dvsviz.formats.aedat4_packets import check_packets
 from dvsviz.formats.sink import RecordingSink
 from dvsviz.geometry.camera import Camera
 
@@ -28,6 +29,7 @@ def convert_aedat4(path: Path, sink: RecordingSink) -> None:
     except ImportError as error:
         hint = "pip install dv-processing (Linux on x86_64), or convert the file elsewhere"
         raise FormatError("dv-processing is not installed", path=path, hint=hint) from error
+    check_packets(path)
     try:
         reader = dv.io.MonoCameraRecording(str(path))
         if not reader.isEventStreamAvailable():
