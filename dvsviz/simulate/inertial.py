@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from dvsviz.events.recording import Imu
 from dvsviz.geometry import se3
+from dvsviz.simulate.models.imu import imu, random_walk
 from dvsviz.simulate.motion import Motion
 
 # Gravity in the simulated world, whose y points down.
@@ -18,14 +19,17 @@ _STEP_S = 1e-4
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImuModel:
-    """White noise and constant biases of an inertial sensor at the camera's centre.
+    """Noise, biases and place of an inertial sensor on the camera.
 
     Attributes:
         rate_hz: samples a second.
         gyro_sigma: rad/s, of each sample.
         accel_sigma: m/s², of each sample.
-        gyro_bias_sigma: rad/s, of the constant bias of each axis.
-        accel_bias_sigma: m/s², of the constant bias of each axis.
+        gyro_bias_sigma: rad/s, of the bias of each axis at the start.
+        accel_bias_sigma: m/s², of the bias of each axis at the start.
+        gyro_walk: rad/s an sqrt(s), by which the biases walk.
+        accel_walk: m/s² an sqrt(s), by which the biases walk.
+        lever_arm: of the sensor from the camera's centre, along the optical axes, m.
     """
 
     rate_hz: float = 1000.0
@@ -33,6 +37,9 @@ class ImuModel:
     accel_sigma: float = 0.03
     gyro_bias_sigma: float = 0.01
     accel_bias_sigma: float = 0.05
+    gyro_walk: float = 0.0
+    accel_walk: float = 0.0
+    lever_arm: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 def rates(motion: Motion, t_s: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -47,23 +54,39 @@ def rates(motion: Motion, t_s: NDArray[np.float64]) -> tuple[NDArray[np.float64]
     return gyro, accel
 
 
-def simulate_imu(model: ImuModel, motion: Motion, seconds: float, rng: np.random.Generator) -> Imu:
-    """Return the measurements over a recording: `w + b_g + n_g` and `R^T (a - g) + b_a + n_a`.
+def simulate_imu(
+    model: ImuModel,
+    motion: Motion,
+    seconds: float,
+    rng: np.random.Generator,
+    gravity_world: NDArray[np.float64] = GRAVITY_WORLD,
+) -> Imu:
+    """Return the measurements over a recording: those of `models.imu.imu`, with noise and walking biases.
 
     Args:
         model: the sensor.
         motion: of the camera.
         seconds: duration.
         rng: for biases and noise.
+        gravity_world: acceleration of a falling body (3,), m/s².
     """
     t_us = np.round(np.arange(int(seconds * model.rate_hz) + 1) * 1e6 / model.rate_hz).astype(np.int64)
     t_s = (t_us * 1e-6).astype(np.float64)
-    gyro, accel_world = rates(motion, t_s)
-    R = motion(t_s)[:, :3, :3]
-    force = np.einsum("nji,nj->ni", R, accel_world - GRAVITY_WORLD)
-    n = len(t_s)
-    gyro = gyro + model.gyro_bias_sigma * rng.standard_normal(3) + model.gyro_sigma * rng.standard_normal((n, 3))
-    force = (
-        force + model.accel_bias_sigma * rng.standard_normal(3) + model.accel_sigma * rng.standard_normal((n, 3))
+    omega, accel_world = rates(motion, t_s)
+    alpha = (rates(motion, t_s + _STEP_S)[0] - rates(motion, t_s - _STEP_S)[0]) / (2 * _STEP_S)
+    gyro, force = imu(
+        motion(t_s)[:, :3, :3],
+        omega,
+        alpha,
+        accel_world,
+        T_body_imu=se3.pose(None, model.lever_arm),
+        gravity_world=gravity_world,
     )
+    n, tau = len(t_s), 1 / model.rate_hz
+    gyro_bias = model.gyro_bias_sigma * rng.standard_normal(3)
+    gyro_noise = model.gyro_sigma * rng.standard_normal((n, 3))
+    accel_bias = model.accel_bias_sigma * rng.standard_normal(3)
+    accel_noise = model.accel_sigma * rng.standard_normal((n, 3))
+    gyro = gyro + random_walk(n, gyro_bias, model.gyro_walk, tau, rng) + gyro_noise
+    force = force + random_walk(n, accel_bias, model.accel_walk, tau, rng) + accel_noise
     return Imu(t_us=t_us, gyro=gyro, accel=force)

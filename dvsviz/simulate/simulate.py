@@ -1,4 +1,4 @@
-"""Simulated recordings of a wall, with their truth.
+"""Simulated recordings of a wall or of a scene with depth, with their truth.
 
 The wall is a plane with a picture; the camera moves in front of it; its event sensor is advanced in steps of at most
 half a pixel of image motion. Everything follows from the seed: the same call writes the same bits.
@@ -19,11 +19,13 @@ from dvsviz.geometry.plane import Plane, rotation_to_map
 from dvsviz.geometry.trajectory import Trajectory
 from dvsviz.simulate.cover import Cover
 from dvsviz.simulate.event_camera import EventCamera, EventCameraModel
-from dvsviz.simulate.inertial import ImuModel, simulate_imu
-from dvsviz.simulate.motion import Motion, MotionName, make_motion
+from dvsviz.simulate.inertial import GRAVITY_WORLD, ImuModel, simulate_imu
+from dvsviz.simulate.motion import Motion
 from dvsviz.simulate.panorama import PanoramaView
+from dvsviz.simulate.paths import AnyMotion, AnyScene, make_path, make_scene
+from dvsviz.simulate.relief import Relief, ReliefView
 from dvsviz.simulate.render import BLOCK, PixelGrid, PlaneView
-from dvsviz.simulate.scenes import PAINTERS, Bounds, Painter, SceneName
+from dvsviz.simulate.scenes import Bounds, Painter
 
 Array = NDArray[np.float64]
 
@@ -38,6 +40,8 @@ _FLUSH_S = 0.02
 _TRUTH_HZ = 500.0
 # The wall ends this far from the camera's first axis: tilted walls reach the horizon.
 _WALL_LIMIT_M = 6.0
+# The camera does not come nearer to a surface of a scene with depth.
+_NEAREST_M = 0.08
 
 
 def default_camera() -> Camera:
@@ -69,9 +73,11 @@ def border_bearings(camera: Camera, count: int = 9) -> Array:
     return np.column_stack([b, np.ones(len(b))])
 
 
-def image_speed(motion: Motion, camera: Camera, plane_world: Plane | None, t_s: Array) -> Array:
+def image_speed(
+    motion: Motion, camera: Camera, plane_world: Plane | None, t_s: Array, relief: ReliefView | None = None
+) -> Array:
     """Return the largest speed (N,), px/s, of the scene's points over the image; a panorama without a plane."""
-    b = border_bearings(camera)
+    b = border_bearings(camera) if relief is None else inner_bearings(camera)
     dt = 5e-4
     T0, T1 = motion(t_s), motion(t_s + dt)
     T_10 = se3.inverse(T1) @ T0
@@ -80,9 +86,20 @@ def image_speed(motion: Motion, camera: Camera, plane_world: Plane | None, t_s: 
         n = np.einsum("nji,j->ni", T0[:, :3, :3], plane_world.normal)
         d = plane_world.distance + T0[:, :3, 3] @ plane_world.normal
         inverse_depth = np.clip(-(n @ b.T) / np.maximum(d, 1e-3)[:, None], 0, None)
+    if relief is not None:
+        inverse_depth = 1 / np.stack([np.nan_to_num(relief.depth(T, b[:, :2]), nan=np.inf) for T in T0])
+        if inverse_depth.max() > 1 / _NEAREST_M:
+            raise ValueError(f"motion: the camera comes within {1 / inverse_depth.max():.3f} m of a surface")
     p = np.einsum("nij,mj->nmi", T_10[:, :3, :3], b) + inverse_depth[:, :, None] * T_10[:, None, :3, 3]
     moved = p[:, :, :2] / p[:, :, 2:] - b[:, :2]
     return np.hypot(moved[..., 0] * camera.fx, moved[..., 1] * camera.fy).max(axis=1) / dt
+
+
+def inner_bearings(camera: Camera, columns: int = 13, rows: int = 10) -> Array:
+    """Return bearings (M, 3) all over the image: the nearest surface of a scene with depth may be anywhere."""
+    x, y = np.meshgrid(np.linspace(0, camera.width - 1, columns), np.linspace(0, camera.height - 1, rows))
+    b = camera.bearings(np.column_stack([x.ravel(), y.ravel()]))
+    return np.column_stack([b, np.ones(len(b))])
 
 
 def step_times(speed: Array, t_s: Array, longest_s: float = _LONGEST_STEP_S) -> Array:
@@ -106,9 +123,9 @@ def visible_bounds(camera: Camera, Hs_map_camera: Array, margin: float = 0.1) ->
 def simulate(
     out: Path,
     *,
-    scene: SceneName | Painter = "shapes",
-    motion: MotionName | Motion = "handheld",
-    seconds: float = 10.0,
+    scene: AnyScene = "shapes",
+    motion: AnyMotion = "handheld",
+    seconds: float | None = 10.0,
     seed: int = 1,
     camera: Camera | None = None,
     sensor: EventCameraModel | None = None,
@@ -124,9 +141,9 @@ def simulate(
 
     Args:
         out: the file, in our own layout.
-        scene: what is on the wall, or a function that paints it.
-        motion: of the camera, or a function of time that gives poses.
-        seconds: duration.
+        scene: what is on the wall, or a function that paints it; or a scene with depth.
+        motion: of the camera: a name, a TUM file, or a function of time that gives poses.
+        seconds: duration; None for the whole of a file or flight, 10 s of the others.
         seed: of everything random.
         camera: the lens and the pixels; 240 x 180 with a focal length of 200 px where none is given.
         sensor: the event sensor; the default one has thresholds of 0.25.
@@ -140,8 +157,9 @@ def simulate(
 
     Raises:
         ValueError: an argument is out of range, or the camera would pass through the wall.
+        FormatError: the file is no trajectory.
     """
-    if not 0 < seconds <= 36_000:
+    if seconds is not None and not 0 < seconds <= 36_000:
         raise ValueError(f"seconds: expected 0 to 36000, got {seconds}")
     if not distance > 0 or not 0 <= tilt_deg < 80:
         raise ValueError(
@@ -149,11 +167,11 @@ def simulate(
         )
     camera = default_camera() if camera is None else camera
     rngs = [np.random.default_rng([seed, i]) for i in range(5)]
-    path = make_motion(motion, rngs[0], seconds, distance=distance) if isinstance(motion, str) else motion
-    if isinstance(scene, str) and scene not in PAINTERS:
-        raise ValueError(f"scene: expected {', '.join(PAINTERS)}, got {scene!r}")
-    painter = PAINTERS[scene] if isinstance(scene, str) else scene
-    plane = None if panorama else wall(distance, tilt_deg)
+    found = make_scene(scene, rngs[1])
+    relief = found if isinstance(found, Relief) else None
+    path, seconds = make_path(motion, rngs[0], seconds, distance=distance, relief=relief)
+    plane = None if panorama or relief is not None else wall(distance, tilt_deg)
+    seen = None if relief is None else ReliefView(PixelGrid.of(camera), relief)
 
     coarse_s = np.linspace(0, seconds, int(np.ceil(seconds * 1000)) + 1)
     distances = _distances(path(coarse_s), plane)
@@ -161,12 +179,16 @@ def simulate(
         raise ValueError(f"motion: the camera comes within {distances.min():.3f} m of the wall")
     sensor = EventCameraModel() if sensor is None else sensor
     times = step_times(
-        image_speed(path, camera, plane, coarse_s), coarse_s, min(_LONGEST_STEP_S, sensor.settling_s)
+        image_speed(path, camera, plane, coarse_s, seen), coarse_s, min(_LONGEST_STEP_S, sensor.settling_s)
     )
     if cover is not None:
         extra = cover.step_times()
         times = np.union1d(times, extra[(extra > 0) & (extra < seconds)])
-    view, maps = _view(camera, plane, painter, path(times), distances, rngs[1])
+    view: PlaneView | PanoramaView | ReliefView
+    if isinstance(found, Relief):
+        view, maps = seen or ReliefView(PixelGrid.of(camera), found), path(times)
+    else:
+        view, maps = _view(camera, plane, found, path(times), distances, rngs[1])
     light = _Light(view, maps, times, camera, cover)
     light.advance(0, whole=True)
     pixels = EventCamera(sensor, light.seen, 0.0, rngs[2])
@@ -193,7 +215,8 @@ def simulate(
         if first_us is None:
             raise ValueError("seconds: the recording would hold no event; make it longer or the scene richer")
         writer.set_ground_truth(_truth(path, first_us, last_us))
-        writer.set_imu(simulate_imu(ImuModel() if imu is None else imu, path, seconds, rngs[3]))
+        gravity = GRAVITY_WORLD if relief is None else relief.gravity_world
+        writer.set_imu(simulate_imu(ImuModel() if imu is None else imu, path, seconds, rngs[3], gravity))
         if plane is not None:
             mean = float(distances.mean())
             writer.set_plane(mean_plane_distance=mean, normal_world=plane.normal, distance_world=plane.distance)
@@ -208,7 +231,12 @@ class _Light:
     """
 
     def __init__(
-        self, view: PlaneView | PanoramaView, maps: Array, times: Array, camera: Camera, cover: Cover | None
+        self,
+        view: PlaneView | PanoramaView | ReliefView,
+        maps: Array,
+        times: Array,
+        camera: Camera,
+        cover: Cover | None,
     ) -> None:
         self._view, self._maps, self._times, self._cover = view, maps, times, cover
         self._image = np.empty((camera.height, camera.width), np.float32)
