@@ -69,12 +69,17 @@ _SEEK = """async ([x, y, patience]) => {
 
 def measure(page: Page, dashboard: Dashboard, seeks: int, seed: int) -> dict[str, object]:
     rng = np.random.default_rng(seed)
-    images, scene, wrong, unmoved = [], [], 0, 0
+    images, scene, wrong, unmoved, unmoving = [], [], 0, 0, 0
     while len(images) < seeks:
+        if unmoving > 50:
+            raise SystemExit("clicks do not move the playhead: does the session hold enough windows?")
         x, y = dashboard.timeline_x(float(rng.uniform(0.02, 0.98)))
         took = page.evaluate(_SEEK, [x, y, 3000])
         if took is None:  # the click fell on the window that was shown
+            unmoving += 1
+            page.wait_for_timeout(50)
             continue
+        unmoving = 0
         images.append(took["images"])
         wrong += not took["right"]
         if took["scene"] is None:

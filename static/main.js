@@ -75,7 +75,13 @@ socket.addEventListener("grown", ({ detail }) => viewing.grown(detail));
 // A keyframe was clicked in the 3-D scene.
 socket.addEventListener("goto", ({ detail }) => detail.session === state.session && byHand(detail.window));
 socket.addEventListener("export", ({ detail }) => exporting.take(detail));
-socket.addEventListener("error", ({ detail }) => detail?.text && flash(detail.text));
+socket.addEventListener("error", ({ detail }) => {
+  if (!detail?.text) return;
+  flash(detail.text);
+  if (!Number.isInteger(detail.request)) return;
+  seeker.answered(detail.request);
+  viewing.failed(detail.request, detail.text);
+});
 socket.addEventListener("images", ({ detail }) => {
   seeker.answered(detail.request);
   if (detail.session === state.session) images.take(detail);

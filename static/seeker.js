@@ -3,12 +3,16 @@
 
 const UNDER_WAY = 2;
 const GIVEN_UP_MS = 2000;
+const AGAIN_MS = 3000; // an answer that did not come is asked for again
 
 export class Seeker {
   #wish = null;
   #sent = new Map(); // request -> time sent
   #request = 0;
+  #answered = 0;
   #timer = 0;
+  #last = null; // the newest message that was sent
+  #again = 0;
 
   /** `send(message)` says whether the line is open. */
   constructor(send) {
@@ -33,6 +37,7 @@ export class Seeker {
 
   /** An answer came: it and all requests before it are done, the server drops what was overtaken. */
   answered(request) {
+    this.#answered = Math.max(this.#answered, request);
     for (const number of this.#sent.keys()) if (number <= request) this.#sent.delete(number);
     this.#pump();
   }
@@ -41,6 +46,13 @@ export class Seeker {
   reset() {
     this.#sent.clear();
     this.#wish = null;
+    this.#last = null;
+    clearTimeout(this.#again);
+  }
+
+  /** Whether the answer to the newest message is still to come. */
+  #isOpen() {
+    return this.#last !== null && this.#answered < this.#request;
   }
 
   #pump() {
@@ -54,6 +66,11 @@ export class Seeker {
     }
     if (!this.send({ ...this.#wish, request: this.#request + 1 })) return;
     this.#sent.set(++this.#request, now);
+    this.#last = this.#wish;
     this.#wish = null;
+    clearTimeout(this.#again);
+    this.#again = setTimeout(() => {
+      if (this.#isOpen() && !this.#wish) this.want(this.#last.session, this.#last.window, this.#last.kinds, this.#last.options);
+    }, AGAIN_MS);
   }
 }

@@ -16,7 +16,7 @@ export class Viewing {
   #again = false; // there is more to fetch after that
   #growing = null; // the fetch of new windows that is under way
   #painted = 0; // newest request whose images are on the screen
-  #waiting = []; // promises of the script interface: {request, resolve}
+  #waiting = []; // promises of the script interface: {request, resolve, reject}
 
   /**
    * `parts` are {state, socket, seeker, images, transport, timeline, scene}; `door(why)` asks for the token,
@@ -57,7 +57,7 @@ export class Viewing {
       if (!columns.count) return this.#nothingYet(live);
       const first = window ?? (live ? columns.count - 1 : (detail.failures[0]?.worst ?? Math.floor(columns.count / 2)));
       this.seek(Math.max(0, Math.min(columns.count - 1, first)), true);
-      await this.arrived();
+      await this.arrived().catch(() => {}); // one window that cannot be drawn is said, the others can be seen
     } catch (error) {
       if (mine === this.#opening) this.#refuse(error, name);
     }
@@ -124,7 +124,14 @@ export class Viewing {
   arrived() {
     const request = this.seeker.newest;
     if (this.#painted >= request) return Promise.resolve();
-    return new Promise((resolve) => this.#waiting.push({ request, resolve }));
+    return new Promise((resolve, reject) => this.#waiting.push({ request, resolve, reject }));
+  }
+
+  /** The server could not draw what was asked for. */
+  failed(request, why) {
+    const over = this.#waiting.filter((waiting) => waiting.request <= request);
+    this.#waiting = this.#waiting.filter((waiting) => waiting.request > request);
+    for (const { reject } of over) reject(new Error(why));
   }
 
   /** Takes the playhead to the end of a live session and keeps it there. */

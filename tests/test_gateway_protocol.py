@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -31,6 +32,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
 from dvsviz.gateway.app import Dashboard
+from dvsviz.view.playback import Renderer
 
 WINDOWS = 120
 
@@ -127,6 +129,31 @@ def test_a_session_is_described(page: Page) -> None:
     assert told["summary"] == {"note": "made for tests"}
     assert told["recording_found"]
     assert page.http.get("/api/sessions/nobody").status_code == 404
+
+
+def test_a_window_that_cannot_be_drawn_is_answered_too(page: Page, folder: Path) -> None:
+    path = make_session(folder / "sessions" / "cut.h5", folder / "r.h5", WINDOWS)
+    page.seek("cut", 3)
+    assert page.next("images")[0]["window"] == 3
+    path.write_bytes(b"")  # the map's texture is read when it is asked for
+    page.seek("cut", 4, request=7, kinds=("raw", "texture"))
+    error = page.next("error")
+    assert error["request"] == 7
+    assert "window 4 of cut" in error["text"]
+    page.seek("first", 5, request=8)
+    assert page.next("images")[0]["request"] == 8
+    path.unlink()
+
+
+def test_a_tab_survives_the_end_of_its_renderer(dashboard: Dashboard, page: Page) -> None:
+    page.seek("first", 5)
+    page.next("images")
+    (renderer,) = (thread for thread in threading.enumerate() if thread.name == f"tab {TAB}")
+    assert isinstance(renderer, Renderer)
+    renderer.mailbox.close()
+    renderer.join(10)
+    page.seek("first", 6, request=2)
+    assert page.next("images")[0]["window"] == 6
 
 
 @pytest.mark.parametrize("start", [0, 77, WINDOWS, 9999])

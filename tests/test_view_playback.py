@@ -84,7 +84,7 @@ def test_a_renderer_draws_the_last_seek_and_then_its_neighbours(shown: ShownSess
         if drawn.seek.window == 30:
             last.set()
 
-    renderer = Renderer("test", cache, send, lambda text: pytest.fail(text), None)
+    renderer = Renderer("test", cache, send, lambda text, _: pytest.fail(text), None)
     renderer.start()
     renderer.mailbox.put(seek(shown, 0))
     assert first_waits.wait(10)

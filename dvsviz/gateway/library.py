@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvsviz.errors import DvsvizError, SessionError
+from dvsviz.events.filters import FilterConfig
 from dvsviz.events.recording import Recording
 from dvsviz.formats.open import open_recording
 from dvsviz.gateway.runs import Run, Runs, RunState, Stage
@@ -194,7 +195,10 @@ class Library:
             for repair in (False, True):  # a recording that was repaired for tracking is repaired again
                 try:
                     recording = open_recording(
-                        path, size=(header.camera.width, header.camera.height), repair=repair
+                        path,
+                        size=(header.camera.width, header.camera.height),
+                        repair=repair,
+                        filters=None if header.filters_json is None else FilterConfig.from_json(header.filters_json),
                     )
                     check_recording(session, recording)
                 except (DvsvizError, OSError) as error:

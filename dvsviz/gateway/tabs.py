@@ -63,8 +63,7 @@ class Tab:
         """Talk with the page until it goes; `hello` is the first message."""
         self._loop, self._wake = asyncio.get_running_loop(), asyncio.Event()
         # Before the first await: from here on a second page of this name is refused.
-        self._renderer = Renderer(f"tab {self.name}", self._cache, self._send_images, self._fail, self.scene)
-        self._renderer.start()
+        self._renderer = self._new_renderer()
         self.tell(hello, "sessions")
         sender: asyncio.Task[None] | None = None
         try:
@@ -76,7 +75,8 @@ class Tab:
             pass  # closed, or binary where text was expected
         finally:
             renderer, self._renderer = self._renderer, None
-            renderer.mailbox.close()
+            if renderer is not None:
+                renderer.mailbox.close()
             if sender is not None:
                 sender.cancel()
             with self._slots_lock:
@@ -92,6 +92,11 @@ class Tab:
         if (renderer := self._renderer) is not None:
             renderer.mailbox.close()
         self.scene.stop()
+
+    def _new_renderer(self) -> Renderer:
+        renderer = Renderer(f"tab {self.name}", self._cache, self._send_images, self._fail, self.scene)
+        renderer.start()
+        return renderer
 
     async def _receive(self, text: str) -> None:
         """Obey one message; what makes no sense is answered with an error."""
@@ -141,6 +146,9 @@ class Tab:
                 scale=min(max(1, int(options.get("scale", 1))), 4),
             ),
         )
+        if not self._renderer.is_alive():
+            # An error nobody thought of ended it: this tab goes on, and the traceback is in the log.
+            self._renderer = self._new_renderer()
         self._renderer.mailbox.put(seek)
 
     def _send_images(self, drawn: Drawn) -> None:
@@ -151,8 +159,8 @@ class Tab:
         except (TimeoutError, CancelledError):
             return  # a page that takes nothing, or that is gone
 
-    def _fail(self, text: str) -> None:
-        self.tell({"type": "error", "text": text}, "error")
+    def _fail(self, text: str, request: int | None = None) -> None:
+        self.tell({"type": "error", "text": text, "request": request}, "error")
 
     def _go_to(self, window: int) -> None:
         if self.shown is not None:

@@ -38,7 +38,8 @@ class Watch(threading.Thread):
             for shown in self._library.all_open():
                 try:
                     self._look_at(shown)
-                except (DvsvizError, OSError) as error:
+                except (DvsvizError, OSError, ValueError, IndexError, KeyError) as error:
+                    # A session that is replaced by another has fewer windows than a moment ago.
                     _log.info("%s cannot be read: %s", shown.name, error)
             if self._look_now.is_set() or time.monotonic() - listed_s > _LIST_EVERY_S:
                 self._look_now.clear()

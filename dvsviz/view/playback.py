@@ -22,6 +22,9 @@ _log = logging.getLogger(__name__)
 # Windows drawn ahead of and behind a resting playhead: half a second of playback at 33 windows per second.
 _AHEAD, _BEHIND = 16, 4
 
+# Why a window cannot be drawn; a session that is replaced by another meanwhile has fewer windows than a moment ago.
+_REASONS = (DvsvizError, OSError, ValueError, RuntimeError, IndexError, KeyError)
+
 # A playhead that did not move for this long rests.
 _REST_S = 0.07
 
@@ -122,7 +125,7 @@ class Renderer(threading.Thread):
         name: of the thread.
         cache: shared by all tabs.
         send: gives images to the tab and returns once they are on their way; a slow tab so slows only itself.
-        fail: gives a sentence to the tab.
+        fail: gives a sentence to the tab, with the request that is not answered.
         scene: the tab's 3-D scene, or None.
     """
 
@@ -131,7 +134,7 @@ class Renderer(threading.Thread):
         name: str,
         cache: ImageCache,
         send: Callable[[Drawn], None],
-        fail: Callable[[str], None],
+        fail: Callable[[str, int], None],
         scene: Scene | None,
     ) -> None:
         super().__init__(name=name, daemon=True)
@@ -148,9 +151,9 @@ class Renderer(threading.Thread):
                 continue
             try:
                 self._serve(seek)
-            except (DvsvizError, OSError, ValueError, RuntimeError) as error:
-                _log.warning("window %d of %s could not be drawn: %s", seek.window, seek.shown.name, error)
-                self._fail(f"window {seek.window} of {seek.shown.name} could not be drawn: {error}")
+            except _REASONS as error:
+                _log.warning("window %d of %s could not be drawn: %r", seek.window, seek.shown.name, error)
+                self._fail(f"window {seek.window} of {seek.shown.name} could not be drawn: {error}", seek.request)
 
     def draw(self, seek: Seek) -> Drawn:
         """Return the images and numbers of a seek."""
