@@ -30,6 +30,8 @@ _SMOOTH = 0.02
 _ZERO_MEAN = 0.2
 # Log inverse depth that counts as one unit of the solver.
 _DEPTH_SCALE = 0.3
+# Largest correction a stage may make: units of `_MOTION_SCALE_PX` by px of blur, and units of `_DEPTH_SCALE`.
+_REACH = 5.0
 # Displacement, px, that counts as one unit.
 _MOTION_SCALE_PX = 2.0
 
@@ -151,6 +153,7 @@ def maximize_relief_contrast(
         found: Any = minimize(
             negative,
             np.zeros(3 + problem.size),
+            bounds=[(-_REACH * blur, _REACH * blur)] * 3 + [(-_REACH, _REACH)] * problem.size,
             jac=True,
             method="L-BFGS-B",
             options={"maxfun": max_evaluations, "ftol": 1e-6},

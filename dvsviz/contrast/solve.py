@@ -21,9 +21,18 @@ from dvsviz.geometry.plane import Plane, turn_normal, turn_normal_derivative
 
 Array = NDArray[np.float64]
 
-# Blurs (px) of the coarse-to-fine stages. 4 px bridges the 7.6 px RMS of the standard one-window test from a zero
-# start; below 1 px the bilinear vote's own ripple shows (tests/test_contrast_solve.py).
-_BLURS_PX = (4.0, 2.0, 1.0)
+# Blurs (px) of the coarse-to-fine stages: 4 px bridges the standard one-window test from a zero start; the last one
+# takes its error from 0.2 to 0.07 px.
+_BLURS_PX = (4.0, 2.0, 1.0, 0.5)
+# At blurs of this or more the sharpest image is one whose events are drawn together (v_z too large by a unit a
+# second, seen on the standard test): a ridge holds the coarse stages near the start.
+_COARSE_PX = 2.0
+_COARSE_RIDGE = 1e-3
+# Largest correction a stage may make, in px of displacement by px of its blur; what a blur cannot bridge
+# is not found by it anyway.
+_REACH = 10.0
+# The same for the normal, in units of `_NORMAL_SCALE`: about 34 degrees a stage.
+_TILT_REACH = 12.0
 # Step of the normal (rad) that counts as one unit: it shows only through the change of depth across the image.
 _NORMAL_SCALE = 0.05
 
@@ -131,9 +140,15 @@ def maximize_contrast(
         cost = objective(name, blur)
         still, _ = problem.evaluate(np.zeros(3), np.zeros(3), plane, cost)
         reference = max(still, 1e-12)
+        held = max(ridge, _COARSE_RIDGE) if blur >= _COARSE_PX else ridge
 
         def negative(
-            z: Array, cost: Objective = cost, reference: float = reference, normal: Array = normal, x: Array = x
+            z: Array,
+            cost: Objective = cost,
+            reference: float = reference,
+            held: float = held,
+            normal: Array = normal,
+            x: Array = x,
         ) -> tuple[float, Array]:
             trial = x.copy()
             trial[mask] += z[:count] * scale[mask]
@@ -147,12 +162,14 @@ def maximize_contrast(
             )
             slope = np.concatenate([slope[:6][mask] * scale[mask], slope[6:] * _NORMAL_SCALE])
             motion = trial[mask] / scale[mask]
-            slope[:count] -= 2 * ridge * reference * motion
-            return -value / reference + ridge * float(motion @ motion), -slope / reference
+            slope[:count] -= 2 * held * reference * motion
+            return -value / reference + held * float(motion @ motion), -slope / reference
 
         found = minimize(
             negative,
             np.zeros(count + (2 if with_normal else 0)),
+            # Without a bound a line search can leap to where all events fall on one pixel: the sharpest image of all.
+            bounds=[(-_REACH * blur, _REACH * blur)] * count + [(-_TILT_REACH, _TILT_REACH)] * (2 * with_normal),
             jac=True,
             method="L-BFGS-B",
             options={"maxfun": max_evaluations, "ftol": 1e-7, "gtol": 1e-5},

@@ -68,6 +68,7 @@ def align(
     focal_px: float,
     free: NDArray[np.bool_],
     prior: Array | None = None,
+    anchored: float = 0.0,
     first_level: int = 0,
     iterations: tuple[int, ...] = c.ALIGN_ITERATIONS,
 ) -> Alignment:
@@ -83,6 +84,8 @@ def align(
         focal_px: focal length, to express steps in px.
         free: mask (6,) of rotation and position to solve for.
         prior: information matrix (6, 6) of the prediction; the default constants' where None.
+        anchored: information of a pull towards the world's origin: decides, always in the same way, between turning and
+            moving sideways as long as the map cannot.
         first_level: 0 for the whole pyramid, more to start finer.
         iterations: steps at each level.
     """
@@ -114,6 +117,7 @@ def align(
             max(end - start, 1e-6),
             free,
             prior,
+            anchored,
             iterations[i],
             focal_px,
             information,
@@ -229,6 +233,7 @@ def _descend(
     duration,
     free,
     prior,
+    anchored,
     limit,
     focal_px,
     information,
@@ -256,6 +261,15 @@ def _descend(
         offset[2] = 0.5 * (D[1, 0] - D[0, 1])
         offset[3:] = R.T @ (p - p_prior)
         g = gradient + (prior * c.RESIDUAL_VARIANCE) @ offset
+        if anchored > 0.0:
+            # The same towards the identity.
+            pull = anchored * c.RESIDUAL_VARIANCE
+            g[0] += pull * 0.5 * (R[2, 1] - R[1, 2])
+            g[1] += pull * 0.5 * (R[0, 2] - R[2, 0])
+            g[2] += pull * 0.5 * (R[1, 0] - R[0, 1])
+            g[3:] += pull * (R.T @ p)
+            for q in range(6):
+                A[q, q] += pull
         for q in range(6):
             if not free[q]:
                 A[q, :] = 0.0

@@ -125,12 +125,15 @@ class PlanarMap:
             return self._levels
         if not self._levels:
             self._levels = [np.zeros_like(self.votes) for _ in c.ALIGN_BLURS_PX]
-        self._p90 = self._density()
-        if self._p90 <= 0:
-            return self._levels
-        pad = int(3 * max(c.ALIGN_BLURS_PX)) + 1
         rows, cols = self.votes.shape
-        r0, c0, r1, c1 = self._dirty or (0, 0, rows, cols)
+        p90 = self._density()
+        # Another saturation changes every cell: the levels depend on the votes alone, not on when they were asked for.
+        r0, c0, r1, c1 = (self._dirty if p90 == self._p90 else None) or (0, 0, rows, cols)
+        self._p90 = p90
+        if p90 <= 0:
+            return self._levels
+        # OpenCV's Gaussian reaches 4 sigma for float images.
+        pad = int(4 * max(c.ALIGN_BLURS_PX)) + 1
         # A halo of one blur around what changed, and one more to blur it from.
         a0, b0, a1, b1 = max(0, r0 - pad), max(0, c0 - pad), min(rows, r1 + pad), min(cols, c1 + pad)
         s0, t0, s1, t1 = max(0, a0 - pad), max(0, b0 - pad), min(rows, a1 + pad), min(cols, b1 + pad)

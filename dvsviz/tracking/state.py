@@ -39,6 +39,7 @@ class Motion:
         bad_windows: bad windows in a row.
         good_score: running score of good windows.
         size: events wanted for the next window.
+        searches: relocalizations tried since it was lost.
     """
 
     T_world_camera: Array
@@ -49,6 +50,7 @@ class Motion:
     bad_windows: int
     good_score: float
     size: float
+    searches: int = 0
 
     @classmethod
     def start(cls) -> Motion:
@@ -78,6 +80,7 @@ def pack(motion: Motion, mapper: Mapper) -> dict[str, np.ndarray]:
                 motion.t_us,
                 STATUSES.index(motion.status),
                 motion.bad_windows,
+                motion.searches,
                 mapper.refinements,
                 mapper.revision,
                 mapper.tried_at,
@@ -99,8 +102,8 @@ def pack(motion: Motion, mapper: Mapper) -> dict[str, np.ndarray]:
     }
     if mapper.map is not None:
         state |= {
-            "map_votes": mapper.map.votes,
-            "map_exposure": mapper.map.exposure,
+            "map_votes": mapper.map.votes.copy(),
+            "map_exposure": mapper.map.exposure.copy(),
             "map_origin": mapper.map.origin,
             "map_numbers": np.array([mapper.map.px_per_unit, mapper.map.freeze_px]),
         }
@@ -125,7 +128,9 @@ def unpack(
     try:
         if int(state["version"][0]) != _VERSION:
             raise ValueError(f"state: expected version {_VERSION}, got {int(state['version'][0])}")
-        t_us, status, bad, refinements, revision, tried_at, revision_at = (int(v) for v in state["counters"])
+        t_us, status, bad, searches, refinements, revision, tried_at, revision_at = (
+            int(v) for v in state["counters"]
+        )
         mapper.plane = Plane(normal=np.array(state["normal_world"]), distance=float(state["distance"][0]))
         mapper.refinements, mapper.revision, mapper.tried_at = refinements, revision, tried_at
         mapper.revision_at_keyframes = revision_at
@@ -163,6 +168,7 @@ def unpack(
             velocity=np.array(state["velocity"]),
             status=STATUSES[status],
             bad_windows=bad,
+            searches=searches,
             good_score=float(state["numbers"][0]),
             size=float(state["numbers"][1]),
         )

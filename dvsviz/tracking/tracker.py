@@ -49,14 +49,6 @@ class Tracker:
     Args:
         camera: the calibrated camera.
         config: settings; the defaults need none.
-
-    A loop of five lines tracks a recording::
-
-        recording = open_recording("slider_depth.zip")
-        tracker = Tracker(recording.camera)
-        for window in windows(recording, lambda: tracker.window_size):
-            result = tracker.step(window)
-            print(result.status, result.T_world_camera[:3, 3])
     """
 
     def __init__(self, camera: Camera, config: TrackerConfig | None = None) -> None:
@@ -117,7 +109,8 @@ class Tracker:
                 trace.velocity,
             )
             self._motion.t_us = mid_us
-        self._resize(images.displacement_px)
+        if self._motion.status not in (Status.LOST, Status.RELOCALIZING):
+            self._resize(images.displacement_px)
         if note:
             self._mapper.log(window.index, "warning" if self._motion.status is Status.LOST else "info", note)
         return WindowResult(
@@ -196,7 +189,14 @@ class Tracker:
         plane = self._mapper.plane.seen_from(self._motion.T_world_camera)
         if plane.distance < 0.05:
             plane = Plane(normal=_AHEAD)
-        return maximize_contrast(problem, plane, free=self._free, ridge=c.CONTRAST_RIDGE)
+        return maximize_contrast(
+            problem,
+            plane,
+            free=self._free,
+            ridge=c.CONTRAST_RIDGE,
+            blurs_px=c.CONTRAST_BLURS_PX,
+            max_evaluations=c.CONTRAST_EVALUATIONS,
+        )
 
     def _start(self, window: EventWindow, sampled: tuple[NDArray[np.float32], Array], mid_us: int) -> Trace:
         """Return the first window's trace: its pose is the identity, its motion found by contrast alone."""
@@ -245,6 +245,7 @@ class Tracker:
             velocity,
             focal_px=self._focal_px,
             free=self._free,
+            anchored=c.ANCHOR**-2 if self._motion.status is Status.INITIALIZING else 0.0,
         )
 
     def _look_for_relief(self, window: EventWindow) -> str:
@@ -275,6 +276,10 @@ class Tracker:
         self, window: EventWindow, sampled: tuple[NDArray[np.float32], Array], mid_us: int
     ) -> tuple[Trace, Alignment | None, str]:
         """Return the window placed by relocalization, or where it was last seen."""
+        self._motion.status = Status.LOST
+        if mid_us - self._motion.t_us < c.RELOCALIZE_EVERY_US * self._motion.searches:
+            return self._trace(window, sampled, mid_us, self._motion.T_world_camera), None, ""
+        self._motion.searches += 1
         solution = self._contrast(window)
         mid_s = (mid_us - window.start_us) * 1e-6
         self._motion.omega = solution.omega
@@ -287,18 +292,21 @@ class Tracker:
             self._mapper.keyframe_poses(c.RELOCALIZE_KEYFRAMES),
             free=self._free,
         )
-        self._motion.status = Status.RELOCALIZING if found is not None else Status.LOST
         if found is None:
             return trace, None, ""
+        self._motion.status = Status.RELOCALIZING
         believed = found.score > c.RELOCALIZE_SCORE * self._motion.good_score
         believed &= found.score - found.runner_up > c.RELOCALIZE_LEAD
         if not believed:
-            self._motion.status = Status.LOST
+            # A rival pose that nearly fits keeps the search open; nothing that fits is plainly lost.
+            near = found.score > 0.5 * c.RELOCALIZE_SCORE * self._motion.good_score
+            self._motion.status = Status.RELOCALIZING if near else Status.LOST
             return trace, None, ""
         alignment = self._align(sampled, mid_s, found.T_world_camera, self._motion.omega, self._motion.velocity)
         self._motion.status = Status.TRACKING
         self._motion.bad_windows = 0
         self._motion.t_us = mid_us
+        self._motion.searches = 0
         return (
             replace(trace, T_world_camera=alignment.T_world_camera),
             alignment,
