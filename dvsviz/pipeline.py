@@ -110,6 +110,14 @@ def summarize(status: NDArray[np.uint8]) -> dict[str, Any]:
     return {"windows": len(status), "tracked_share": share, "losses": int(began.sum())}
 
 
+def events_kept(recording: Recording) -> dict[str, Any]:
+    """Return `filters` and `events_kept_share` of a recording whose events were filtered, else nothing."""
+    if recording.filters is None or recording.events_before_filters is None:
+        return {}
+    share = recording.events.count / max(1, recording.events_before_filters)
+    return {"filters": asdict(recording.filters), "events_kept_share": share}
+
+
 def evaluation_of(session: Session) -> dict[str, Any] | None:
     """Return the session's evaluation, or None without ground truth or where too little of it was tracked."""
     if session.ground_truth is None:
@@ -242,6 +250,7 @@ class _Run:
                 "real_time_factor": (self._last_us - self._first_us) * 1e-6 / wall_s,
                 "compile_s": self._compile_s,
                 "evaluation": evaluation,
+                **events_kept(self._recording),
             }
         except BaseException:
             self._writer.abandon()
@@ -277,6 +286,7 @@ def _header(recording: Recording, config: TrackerConfig) -> SessionHeader:
         mean_plane_distance=recording.mean_plane_distance,
         plane_normal_world=recording.plane_normal_world,
         plane_distance_world=recording.plane_distance_world,
+        filters_json=None if recording.filters is None else recording.filters.to_json(),
     )
 
 

@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, Protocol, Union, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, Union, get_args
 
 import tyro
 from tyro.conf import Positional, arg
@@ -17,6 +17,10 @@ from tyro.constructors import PrimitiveConstructorSpec
 from dvsviz.config import Motion
 from dvsviz.errors import DvsvizError
 
+if TYPE_CHECKING:
+    from dvsviz.events.filters import FilterConfig
+
+Target = Literal["hdf5", "uzh", "dsec", "aedat4", "tum"]
 Scene = Literal["shapes", "poster", "stripes", "checkerboard"]
 CameraMotion = Literal["handheld", "slider", "rotation", "shake"]
 Align = Literal["sim3", "se3", "none"]
@@ -40,6 +44,13 @@ def _size(word: str) -> tuple[int, int]:
     if not found:
         raise ValueError(f"expected WIDTHxHEIGHT such as 240x180, got {word}")
     return int(found[1]), int(found[2])
+
+
+def _roi(word: str) -> tuple[int, int, int, int]:
+    found = re.fullmatch(r"(\d+),(\d+),(\d+),(\d+)", word)
+    if not found:
+        raise ValueError(f"expected X,Y,WIDTH,HEIGHT such as 60,40,120,90, got {word}")
+    return int(found[1]), int(found[2]), int(found[3]), int(found[4])
 
 
 def _number(kind: type[int] | type[float]) -> Callable[[str], Any]:
@@ -68,6 +79,12 @@ def _option(metavar: str, read: Callable[[str], Any], unset: str) -> tuple[Any, 
 def _motion(word: str) -> str:
     if word not in get_args(Motion):
         raise ValueError(f"expected one of {', '.join(get_args(Motion))}, got {word}")
+    return word
+
+
+def _target(word: str) -> str:
+    if word not in get_args(Target):
+        raise ValueError(f"expected one of {', '.join(get_args(Target))}, got {word}")
     return word
 
 
@@ -104,6 +121,35 @@ class Opening:
     size: Size = None
     calibration: Calibration = None
     repair: Repair = False
+    topic: Annotated[str | None, *_option("NAME", str, "the only one")] = None
+    """Which event topic of a bag."""
+    ground_truth: Annotated[str | None, *_option("FILE|TOPIC", str, "the recorded one")] = None
+    """True poses: TUM or Event-Camera-Dataset text, EuRoC CSV, or a topic of the bag."""
+    gt_offset: Annotated[float, *_option("SECONDS", _number(float), "0")] = 0.0
+    """What is added to the times of the true poses."""
+    hot_pixels: Flag = False
+    """Leave out the events of pixels that fire far more often than those around them."""
+    background_activity: Annotated[int | None, *_option("US", _number(int), "off")] = None
+    """Leave out events without another one beside them in so many microseconds before."""
+    refractory: Annotated[int | None, *_option("US", _number(int), "off")] = None
+    """Leave out events of a pixel that fired less than so many microseconds before."""
+
+    def filters(self) -> FilterConfig:
+        """Return the filters that were said.
+
+        Raises:
+            UsageError: a time that is none.
+        """
+        from dvsviz.events.filters import FilterConfig
+
+        try:
+            return FilterConfig(
+                hot_pixels=self.hot_pixels,
+                background_us=self.background_activity,
+                refractory_us=self.refractory,
+            )
+        except ValueError as error:
+            raise UsageError(str(error)) from error
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,7 +165,7 @@ class Tracking(Opening):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Info:
+class Info(Opening):
     """Say what is in a recording or a session.
 
     Example:  dvsviz info slider_depth.zip --json
@@ -127,9 +173,6 @@ class Info:
 
     file: Annotated[Positional[Path], arg(metavar="FILE")]
     """A recording (file, folder or archive) or a session."""
-    size: Size = None
-    calibration: Calibration = None
-    repair: Repair = False
     json: Json = False
 
     def run(self) -> int:
@@ -137,6 +180,39 @@ class Info:
         from dvsviz.cli.files import info
 
         return info(self)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Convert(Opening):
+    """Write a recording, or a part of it, in another format.
+
+    Examples:  dvsviz convert slider_depth.zip slider.h5  |  dvsviz convert r.h5 r.aedat4 --start 1 --end 3
+               dvsviz convert events.raw part.h5 --roi 320,180,640,360 --refractory 1000
+    """
+
+    recording: Annotated[Positional[Path], arg(metavar="IN")]
+    """The recording: file, folder or archive."""
+    out: Annotated[Positional[Path], arg(metavar="OUT")]
+    """What is written."""
+    to: Annotated[Target | None, *_option("{hdf5,uzh,dsec,aedat4,tum}", _target, "told by the ending of OUT")] = None
+    """The format; tum writes the true poses alone."""
+    start: Annotated[float | None, *_option("SECONDS", _number(float), "the first event")] = None
+    """Seconds after the first event."""
+    end: Annotated[float | None, *_option("SECONDS", _number(float), "the last event")] = None
+    """Seconds after the first event, exclusive."""
+    roi: Annotated[tuple[int, int, int, int] | None, *_option("X,Y,W,H", _roi, "the whole sensor")] = None
+    """Pixels that are kept."""
+    stride: Annotated[int, *_option("N", _number(int), "1")] = 1
+    """Every N-th event is kept."""
+    force: Flag = False
+    """Replace a file that is there."""
+    json: Json = False
+
+    def run(self) -> int:
+        """Convert."""
+        from dvsviz.cli.files import convert
+
+        return convert(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -223,8 +299,12 @@ class Evaluate:
 
     session: Annotated[Positional[Path], arg(metavar="SESSION")]
     """A session, or a TUM file of estimated poses."""
-    truth: Annotated[Path | None, *_option("FILE.tum", Path, "the session's own")] = None
-    """True poses in TUM layout, on the same clock."""
+    truth: Annotated[Path | None, *_option("FILE", Path, "the session's own"), arg(aliases=("--ground-truth",))] = (
+        None
+    )
+    """True poses: TUM or Event-Camera-Dataset text, or EuRoC CSV."""
+    gt_offset: Annotated[float, *_option("SECONDS", _number(float), "0")] = 0.0
+    """What is added to the times of the true poses."""
     align: Align = "sim3"
     """What is removed before positions are compared: similarity, rigid motion or nothing."""
     poses: Poses = "refined"
@@ -300,6 +380,7 @@ class Doctor:
 
 COMMANDS: dict[str, tuple[Any, str]] = {
     "info": (Info, "say what is in a recording or a session"),
+    "convert": (Convert, "write a recording in another format, whole or in part"),
     "simulate": (Simulate, "write a simulated recording with its ground truth"),
     "track": (Track, "track a recording into a session"),
     "evaluate": (Evaluate, "compare a session with the truth"),

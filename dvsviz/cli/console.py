@@ -54,14 +54,26 @@ def share_bar(title: str) -> Iterator[Callable[[float], None]]:
         yield lambda share: bar.update(task, completed=share)
 
 
-def read_recording(path: Path, opening: Opening) -> Recording:
+def options_of(opening: Opening, *, filtered: bool = True) -> dict[str, Any]:
+    """Return how a recording is opened as arguments of `open_recording`."""
+    filters = opening.filters()
+    return {
+        "size": opening.size,
+        "calibration": opening.calibration,
+        "repair": opening.repair,
+        "topic": opening.topic,
+        "ground_truth": opening.ground_truth,
+        "gt_offset_s": opening.gt_offset,
+        "filters": filters if filtered and filters.is_active else None,
+    }
+
+
+def read_recording(path: Path, opening: Opening, *, filtered: bool = True) -> Recording:
     """Return the recording that is named, with a bar while it is converted; warnings go to standard error."""
     from dvsviz.formats.open import open_recording
 
     with share_bar(f"reading {path.name}") as show:
-        recording = open_recording(
-            path, size=opening.size, calibration=opening.calibration, repair=opening.repair, progress=show
-        )
+        recording = open_recording(path, **options_of(opening, filtered=filtered), progress=show)
     for warning in recording.warnings:
         note(f"warning: {path}: {warning}")
     return recording

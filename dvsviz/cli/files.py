@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dvsviz.cli import arguments
-from dvsviz.cli.console import note, print_fields, print_json, share_bar
+from dvsviz.cli.console import note, options_of, print_fields, print_json, share_bar
 from dvsviz.errors import DvsvizError, SessionError
 
 if TYPE_CHECKING:
@@ -26,15 +26,18 @@ def info(command: arguments.Info) -> int:
         with share_bar(f"reading {command.file.name}") as show:
             found = describe(
                 command.file,
-                size=command.size,
-                calibration=command.calibration,
-                repair=command.repair,
+                **options_of(command),
                 progress=show,
             )
     if command.json:
         print_json(found)
     else:
-        print_fields({name.replace("_", " "): _words(value) for name, value in found.items()})
+        if "sparkline" in found:
+            from dvsviz.cli.recording_info import fields
+
+            print_fields(fields(found))
+        else:
+            print_fields({name.replace("_", " "): _words(value) for name, value in found.items()})
     return 0
 
 
@@ -60,19 +63,49 @@ def simulate(command: arguments.Simulate) -> int:
     return 0
 
 
+def convert(command: arguments.Convert) -> int:
+    """Write a recording in another format."""
+    from dvsviz.cli.console import read_recording
+    from dvsviz.formats.convert import Selection, target_of
+    from dvsviz.formats.convert import convert as run
+
+    if command.out.exists() and not command.force:
+        raise DvsvizError("already exists", path=command.out, hint="replace it with --force")
+    target_of(command.out, command.to)
+    # Filters look at the whole recording here, and only a part of it may be wanted: they act while it is written.
+    recording = read_recording(command.recording, command, filtered=False)
+    selection = Selection(
+        start_s=command.start or 0.0,
+        end_s=command.end,
+        roi=command.roi,
+        stride=command.stride,
+        filters=command.filters(),
+    )
+    with share_bar(f"writing {command.out.name}") as show:
+        found = run(recording, command.out, target=command.to, selection=selection, progress=show)
+    if command.json:
+        print_json(found)
+    elif found["target"] == "tum":
+        note(f"wrote {command.out}")
+    else:
+        note(f"wrote {command.out}: {found['events_kept']:,d} of {found['events']:,d} events")
+    return 0
+
+
 def evaluate(command: arguments.Evaluate) -> int:
     """Compare a session or a trajectory with the truth."""
     from dvsviz.evaluate.evaluate import evaluate as run
     from dvsviz.evaluate.tables import evaluation_table
+    from dvsviz.formats.ground_truth import read_ground_truth
     from dvsviz.geometry.tum import read_tum
 
-    truth = read_tum(command.truth) if command.truth is not None else None
+    truth = None if command.truth is None else read_ground_truth(command.truth, offset_s=command.gt_offset)
     if _is_text(command.session):
         if truth is None:
             raise DvsvizError(
                 "is no session, and as a trajectory it needs the truth",
                 path=command.session,
-                hint="name a file of true poses in TUM layout with --truth",
+                hint="name a file of true poses with --truth",
             )
         found = run(read_tum(command.session), truth, alignment=command.align)
     else:
@@ -119,11 +152,16 @@ def export(command: arguments.Export) -> int:
 
 def _recording_of(session: Session) -> Recording | None:
     """Return the recording of a session, or None with a line about it where it is gone or does not open."""
+    from dvsviz.events.filters import FilterConfig
     from dvsviz.formats.open import open_recording
 
     header = session.header
     try:
-        return open_recording(Path(header.recording_path), size=(header.camera.width, header.camera.height))
+        return open_recording(
+            Path(header.recording_path),
+            size=(header.camera.width, header.camera.height),
+            filters=None if header.filters_json is None else FilterConfig.from_json(header.filters_json),
+        )
     except DvsvizError as error:
         note(f"warning: {error}; only the images of the keyframes are written")
         return None

@@ -154,6 +154,8 @@ def _print_summary(summary: dict[str, Any]) -> None:
             f"real-time factor {summary['real_time_factor']:.2f} (kernels compiled in {summary['compile_s']:.1f} s)",
         }
     )
+    if "events_kept_share" in summary:
+        print(f"events kept by the filters: {summary['events_kept_share']:.1%}")
     if summary["evaluation"] is not None:
         from dvsviz.evaluate.evaluate import Evaluation
         from dvsviz.evaluate.tables import evaluation_table

@@ -5,7 +5,8 @@ A filter sees the events in order, in chunks of any size, and its result does no
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import json
+from dataclasses import asdict, dataclass
 
 import numba
 import numpy as np
@@ -40,6 +41,22 @@ class FilterConfig:
         for name, value in (("background_us", self.background_us), ("refractory_us", self.refractory_us)):
             if value is not None and not 1 <= value <= 60_000_000:
                 raise ValueError(f"{name}: expected 1 to 60000000 us, got {value}")
+
+    def to_json(self) -> str:
+        """Return the settings as JSON text."""
+        return json.dumps(asdict(self))
+
+    @classmethod
+    def from_json(cls, text: str) -> FilterConfig:
+        """Return the settings in JSON text.
+
+        Raises:
+            ValueError: it is not what `to_json` writes.
+        """
+        values = json.loads(text)
+        if not isinstance(values, dict) or not values.keys() <= {"hot_pixels", "background_us", "refractory_us"}:
+            raise ValueError(f"filters: expected hot_pixels, background_us, refractory_us, got {text:.80}")
+        return cls(**values)
 
     @property
     def is_active(self) -> bool:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvsviz.events.events import Events
+from dvsviz.events.filters import FilterConfig
 from dvsviz.geometry.camera import Camera
 from dvsviz.geometry.trajectory import Trajectory
 
@@ -98,6 +99,8 @@ class Recording:
         mean_plane_distance: metres, of a simulated or measured plane, or None.
         plane_normal_world: unit normal (3,) of the true plane in the ground truth's world, or None.
         plane_distance_world: its distance from that world's origin, m, or None.
+        filters: what the events were filtered by on opening, or None.
+        events_before_filters: how many there were before, or None.
         warnings: sentences about what was assumed or repaired on opening.
     """
 
@@ -112,6 +115,8 @@ class Recording:
     mean_plane_distance: float | None = None
     plane_normal_world: NDArray[np.float64] | None = None
     plane_distance_world: float | None = None
+    filters: FilterConfig | None = None
+    events_before_filters: int | None = None
     warnings: tuple[str, ...] = field(default=())
 
     @property
@@ -129,6 +134,12 @@ class Recording:
     def duration_s(self) -> float:
         """Seconds from the first to the last event."""
         return (self.last_us - self.first_us) * 1e-6
+
+    def close(self) -> None:
+        """Close the file that the events are read from, where they are."""
+        close = getattr(self.events, "close", None)
+        if close is not None:
+            close()
 
     def chunks(self, size: int = CHUNK_EVENTS) -> Iterator[Events]:
         """Yield all events in order, at most `size` at a time."""

@@ -22,7 +22,7 @@ from dvsviz.formats.options import OpenOptions
 from dvsviz.formats.sink import FORMAT_NOTE, WARNINGS_NOTE
 
 # Raise it when a reader changes what it makes of the same file.
-_CONVERSION = 1
+_CONVERSION = 2
 
 
 def cache_folder() -> Path:
@@ -34,7 +34,13 @@ def cache_folder() -> Path:
 
 
 def cached(
-    source: Path, files: list[Path], options: OpenOptions, convert: Callable[[Path], None], *, kind: str
+    source: Path,
+    files: list[Path],
+    options: OpenOptions,
+    convert: Callable[[Path], None],
+    *,
+    kind: str,
+    purpose: str = "",
 ) -> Recording:
     """Return the converted recording of a source, from the cache or made now.
 
@@ -44,14 +50,15 @@ def cached(
         options: of reading.
         convert: writes the recording to the path it is given.
         kind: name of the reader, part of the key.
+        purpose: copies of one source for different purposes do not replace each other.
 
     Raises:
         FormatError: the source cannot be converted, or the cache folder cannot be written.
     """
-    where = _digest(str(source.resolve()))
+    where = _digest(str(source.resolve()) + purpose)
     stats = [(file.name, file.stat().st_size, file.stat().st_mtime_ns) for file in files if file.exists()]
     state = _digest(json.dumps(stats))
-    how = _digest(json.dumps([_CONVERSION, kind, options.size, options.repair, options.topic]))
+    how = _digest(json.dumps([_CONVERSION, kind, options.size, options.repair, options.topic, options.truth_topic]))
     target = cache_folder() / f"{source.stem[:60]}-{where}-{state}-{how}.h5"
     if target.is_file():
         try:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +14,12 @@ from numpy.typing import NDArray
 from dvsviz.events.filters import count_pixels, hot_pixels
 from dvsviz.events.recording import Recording
 from dvsviz.formats.open import open_recording
+from dvsviz.formats.sink import OUT_OF_ORDER
 
 RATE_BINS = 60
 # Shorter pauses are common in slow scenes; the tracker ends its windows after this time too.
 GAP_US = 100_000
+_SHOWN_HOT = 8
 _BARS = "▁▂▃▄▅▆▇█"
 
 
@@ -25,7 +29,9 @@ def describe(path: Path, **options: Any) -> dict[str, Any]:
     Keys: `format, name, path, events, duration_s, width, height, rate_hz, peak_rate_hz, first_us, last_us,
     positive_share, streams, calibrated, camera, rate_over_time_hz` (60 equal parts of the duration), `sparkline,
     gaps, longest_gap_s` (pauses of at least 100 ms), `duplicates` (events that repeat time, pixel and polarity of
-    the one before them on that pixel), `hot_pixels, hot_share, warnings`.
+    the one before them on that pixel), `hot_pixels, hot_share, hot_pixels_at` (x, y, events of the loudest eight),
+    `out_of_order` (events that `repair` dropped for it; without repair such a file is refused), `filters,
+    events_before_filters, warnings`.
 
     Args:
         path: the recording.
@@ -102,8 +108,26 @@ def describe_recording(recording: Recording) -> dict[str, Any]:
         "duplicates": duplicates,
         "hot_pixels": int(np.count_nonzero(hot)),
         "hot_share": float(counts[hot].sum() / max(1, n)),
+        "hot_pixels_at": [[int(x), int(y), int(counts[y, x])] for y, x in _loudest(counts, hot)],
+        "out_of_order": _out_of_order(recording.warnings),
+        "filters": None if recording.filters is None else asdict(recording.filters),
+        "events_before_filters": recording.events_before_filters,
         "warnings": list(recording.warnings),
     }
+
+
+def _out_of_order(warnings: tuple[str, ...]) -> int:
+    """Return how many events were dropped on reading for a time that ran backwards."""
+    for warning in warnings:
+        if found := re.search(rf"(\d+) {OUT_OF_ORDER}", warning):
+            return int(found[1])
+    return 0
+
+
+def _loudest(counts: NDArray[np.int64], hot: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Return row and column (N, 2) of the hot pixels that fire most, the loudest first."""
+    at = np.argwhere(hot)
+    return at[np.argsort(-counts[hot], kind="stable")][:_SHOWN_HOT]
 
 
 def sparkline(values: NDArray[np.float64]) -> str:

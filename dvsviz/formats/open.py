@@ -10,12 +10,15 @@ from typing import NoReturn
 import h5py
 
 from dvsviz.errors import FormatError
+from dvsviz.events.filters import FilterConfig
 from dvsviz.events.recording import Recording
 from dvsviz.formats import aedat2, aedat3, aedat4, event_stream, hdf5_foreign, matlab, prophesee, ros
 from dvsviz.formats.arrays import convert_npy, convert_npz
 from dvsviz.formats.cache import cached
 from dvsviz.formats.calibration import read_calibration
 from dvsviz.formats.container import Folder, Zip
+from dvsviz.formats.filtered import filtered
+from dvsviz.formats.ground_truth import read_ground_truth
 from dvsviz.formats.hdf5 import GUESS_WARNING, read_recording
 from dvsviz.formats.options import OpenOptions
 from dvsviz.formats.sink import RecordingSink
@@ -36,6 +39,9 @@ def open_recording(
     calibration: Path | None = None,
     repair: bool = False,
     topic: str | None = None,
+    ground_truth: Path | str | None = None,
+    gt_offset_s: float = 0.0,
+    filters: FilterConfig | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Recording:
     """Return the recording in a file, folder or archive of any known format.
@@ -48,6 +54,9 @@ def open_recording(
         calibration: a calibration file that replaces what is recorded.
         repair: drop and count events, poses and frames that are wrong instead of refusing the file.
         topic: which event topic of a bag is read.
+        ground_truth: true poses that replace the recorded ones: a file (`formats.ground_truth`), or a topic of a bag.
+        gt_offset_s: seconds to add to the times of the true poses.
+        filters: which events are kept.
         progress: called with the share done, 0 to 1, while a file is converted.
 
     Raises:
@@ -57,7 +66,10 @@ def open_recording(
     path = Path(path)
     if size is not None and not all(1 <= side <= 65_535 for side in size):
         raise FormatError(f"a sensor of {size[0]}x{size[1]}", place="--size", hint="expected 1 to 65535 pixels")
-    options = OpenOptions(size=size, repair=repair, topic=topic, progress=progress)
+    truth_topic = None
+    if ground_truth is not None and str(ground_truth).startswith("/") and not Path(ground_truth).exists():
+        truth_topic = str(ground_truth)
+    options = OpenOptions(size=size, repair=repair, topic=topic, truth_topic=truth_topic, progress=progress)
     found = None if calibration is None else read_calibration(calibration)
     if found is not None and found.size is not None and size is None:
         options = replace(options, size=found.size)
@@ -71,12 +83,30 @@ def open_recording(
         recording = _open_folder(path, options) if path.is_dir() else _open_file(path, options)
     except PermissionError as error:
         raise FormatError("cannot be read", path=path, hint="check its permissions") from error
-    if found is None:
-        return recording
-    camera = found.camera(recording.camera.width, recording.camera.height)
-    guess = GUESS_WARNING.split(":")[0]
-    warnings = tuple(warning for warning in recording.warnings if not warning.startswith(guess))
-    return replace(recording, camera=camera, warnings=warnings)
+    if filters is not None:
+        recording = filtered(recording, filters, options)
+    if found is not None:
+        camera = found.camera(recording.camera.width, recording.camera.height)
+        guess = GUESS_WARNING.split(":")[0]
+        warnings = tuple(warning for warning in recording.warnings if not warning.startswith(guess))
+        recording = replace(recording, camera=camera, warnings=warnings)
+    return _with_truth(recording, ground_truth, gt_offset_s, options)
+
+
+def _with_truth(
+    recording: Recording, ground_truth: Path | str | None, offset_s: float, options: OpenOptions
+) -> Recording:
+    """Replace or shift a recording's true poses as the user said."""
+    if options.truth_topic is not None and not recording.format.startswith(ros.FORMAT_NAME):
+        message = "neither a file, nor a topic: the recording is no bag"
+        raise FormatError(message, path=Path(options.truth_topic), hint="check the path given with --ground-truth")
+    if ground_truth is not None and options.truth_topic is None:
+        truth = read_ground_truth(Path(ground_truth), offset_s=offset_s, repair=options.repair)
+        return replace(recording, ground_truth=truth)
+    if offset_s and recording.ground_truth is not None:
+        truth = recording.ground_truth
+        return replace(recording, ground_truth=replace(truth, t_us=truth.t_us + round(offset_s * 1e6)))
+    return recording
 
 
 def _open_folder(path: Path, options: OpenOptions) -> Recording:

@@ -167,6 +167,17 @@ def _first(bag: _Bag, msgtype: str | tuple[str, ...], near: str) -> Any:
     return max(found, key=likeness, default=None)
 
 
+def _pose_connection(bag: _Bag, path: Path, events_topic: str, topic: str | None) -> Any:
+    """Return the topic of true poses that was said, else the one that belongs to the events, or None."""
+    if topic is None:
+        return _first(bag, tuple(_POSES), events_topic)
+    found = {c.topic: c for c in bag.connections if c.msgtype in _POSES}
+    if topic not in found:
+        hint = f"topics of poses are: {', '.join(sorted(found)) or 'none'}"
+        raise FormatError(f"no topic {topic} of poses", path=path, hint=hint)
+    return found[topic]
+
+
 def _stamp_ns(message: Any) -> int:
     return int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)
 
@@ -211,7 +222,7 @@ def _camera(bag: _Bag, size: tuple[int, int], topic: str, sink: RecordingSink) -
 def _read(bag: _Bag, path: Path, sink: RecordingSink) -> None:
     events = _event_connection(bag, path, sink.options.topic)
     frames, imu = _first(bag, _IMAGE, events.topic), _first(bag, _IMU, events.topic)
-    poses = _first(bag, tuple(_POSES), events.topic)
+    poses = _pose_connection(bag, path, events.topic, sink.options.truth_topic)
     decode, started = _Events(bag, events), False
     wanted = [c for c in (events, frames, imu, poses) if c is not None]
     start, span = bag.start_ns, max(1, bag.end_ns - bag.start_ns)

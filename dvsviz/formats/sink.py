@@ -20,6 +20,7 @@ from dvsviz.geometry.camera import Camera
 from dvsviz.geometry.trajectory import Trajectory
 
 FORMAT_NOTE, WARNINGS_NOTE = "source_format", "source_warnings"
+OUT_OF_ORDER = "events whose time ran backwards"
 
 
 class RecordingSink:
@@ -113,7 +114,7 @@ class RecordingSink:
         """
         writer = self._started()
         if self._repair is not None:
-            self.dropped(self._repair.backwards, "events whose time ran backwards")
+            self.dropped(self._repair.backwards, OUT_OF_ORDER)
             self.dropped(self._repair.outside, "events outside the sensor")
         if self._count == 0:
             raise FormatError("there are no events", path=self.source, hint="record or copy it again")

@@ -198,7 +198,9 @@ class Library:
                         path,
                         size=(header.camera.width, header.camera.height),
                         repair=repair,
-                        filters=None if header.filters_json is None else FilterConfig.from_json(header.filters_json),
+                        filters=None
+                        if header.filters_json is None
+                        else FilterConfig.from_json(header.filters_json),
                     )
                     check_recording(session, recording)
                 except (DvsvizError, OSError) as error:

@@ -37,6 +37,8 @@ class SessionHeader:
         mean_plane_distance: metres, or None.
         plane_normal_world: unit normal (3,) of the true plane in the ground truth's world, or None.
         plane_distance_world: its distance from that world's origin, m, or None.
+        filters_json: what the recording's events were filtered by (`FilterConfig.to_json()`), or None; `events` and
+            the indices of windows count the events that were kept.
     """
 
     recording_path: str
@@ -53,6 +55,7 @@ class SessionHeader:
     mean_plane_distance: float | None = None
     plane_normal_world: NDArray[np.float64] | None = None
     plane_distance_world: float | None = None
+    filters_json: str | None = None
 
     @property
     def duration_s(self) -> float:
@@ -87,7 +90,8 @@ def read_header(file: h5py.File) -> SessionHeader:
     values: dict[str, Any] = {name: _text(a[name]) for name in _TEXTS}
     values |= {name: int(a[name]) for name in _INTEGERS}
     values |= {name: float(a[name]) for name in _LENGTHS if name in a}
-    return SessionHeader(plane_normal_world=normal, camera=_read_camera(file), **values)
+    filters = _text(a["filters_json"]) if "filters_json" in a else None
+    return SessionHeader(filters_json=filters, plane_normal_world=normal, camera=_read_camera(file), **values)
 
 
 def _read_camera(file: h5py.File) -> Camera:
