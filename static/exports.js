@@ -3,7 +3,7 @@
 import { exportAddress, startExport } from "./api.js";
 import { byId, make, setText } from "./dom.js";
 
-const NAMES = { rrd: "Rerun recording", tum: "TUM trajectory" };
+const NAMES = { rrd: "Rerun recording", tum: "TUM trajectory", csv: "figures", png: "map" };
 
 /** Opens and closes a button's popover; Escape and a click elsewhere close it. */
 export function popover(button, panel) {

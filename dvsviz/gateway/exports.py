@@ -8,17 +8,18 @@ import tempfile
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from dvsviz.errors import DvsvizError
+from dvsviz.view.figures import figures_csv, map_png
 from dvsviz.view.shown import ShownSession
 
 _log = logging.getLogger(__name__)
 
-FORMATS = ("rrd", "tum")
+FORMATS = ("rrd", "tum", "csv", "png")
 _KEPT = 20
 
 
@@ -55,7 +56,18 @@ class Exports:
             tell: called with `export` messages of the dashboard's protocol.
         """
         number = secrets.token_urlsafe(16)
-        self._worker.submit(self._make, number, shown, to, tell)
+        name = f"{shown.name}.{to}"
+        message = {"type": "export", "id": number, "share": 0.0, "done": False, "name": name, "error": ""}
+
+        def ended(job: Future[None]) -> None:
+            """Say that it failed, whatever the reason: the page would wait for ever."""
+            if job.cancelled() or (error := job.exception()) is None:
+                return
+            expected = isinstance(error, (DvsvizError, OSError))
+            _log.warning("export of %s: %s", name, error, exc_info=None if expected else error)
+            tell(message | {"error": str(error) if expected else f"the export failed: {error!r}"})
+
+        self._worker.submit(self._make, number, shown, to, message, tell).add_done_callback(ended)
         return number
 
     def get(self, number: str) -> Export | None:
@@ -69,31 +81,35 @@ class Exports:
         self._worker.shutdown(wait=True, cancel_futures=True)
         self._folder.cleanup()
 
-    def _make(self, number: str, shown: ShownSession, to: str, tell: Callable[[dict[str, Any]], None]) -> None:
-        name = f"{shown.name}.{to}"
+    def _make(
+        self,
+        number: str,
+        shown: ShownSession,
+        to: str,
+        message: dict[str, Any],
+        tell: Callable[[dict[str, Any]], None],
+    ) -> None:
         path = Path(self._folder.name) / f"{number}.{to}"
-        message = {"type": "export", "id": number, "share": 0.0, "done": False, "name": name, "error": ""}
         tell(message)
-        try:
-            if to == "rrd":
-                from dvsviz.export.rerun import export_rerun  # 0.4 s to import: not before somebody exports
+        if to == "rrd":
+            from dvsviz.export.rerun import export_rerun  # 0.4 s to import: not before somebody exports
 
-                export_rerun(
-                    shown.session,
-                    path,
-                    recording=shown.recording,
-                    progress=lambda share: tell(message | {"share": float(share)}),
-                )
-            else:
-                from dvsviz.export.tum import export_tum
+            export_rerun(
+                shown.session,
+                path,
+                recording=shown.recording,
+                progress=lambda share: tell(message | {"share": float(share)}),
+            )
+        elif to == "tum":
+            from dvsviz.export.tum import export_tum
 
-                export_tum(shown.session, path)
-        except (DvsvizError, OSError, ValueError) as error:
-            _log.warning("export of %s: %s", name, error)
-            tell(message | {"error": str(error)})
-            return
+            export_tum(shown.session, path)
+        elif to == "csv":
+            path.write_text(figures_csv(shown), encoding="utf-8")
+        else:
+            path.write_bytes(map_png(shown))
         with self._lock:
-            self._done[number] = Export(path=path, name=name)
+            self._done[number] = Export(path=path, name=message["name"])
             while len(self._done) > _KEPT:
                 _, old = self._done.popitem(last=False)
                 old.path.unlink(missing_ok=True)

@@ -100,11 +100,12 @@ class Tab:
 
     async def _receive(self, text: str) -> None:
         """Obey one message; what makes no sense is answered with an error."""
+        request = None
         try:
             if len(text) > _MAX_MESSAGE:
                 raise ValueError("too long")
             message = json.loads(text)
-            kind = message["type"]
+            kind, request = message["type"], message.get("request")
             if kind == "seek":
                 await self._seek(message)
             elif kind == "open":
@@ -115,9 +116,9 @@ class Tab:
             else:
                 raise ValueError(f"type {kind!r} is not known")
         except (ValueError, KeyError, TypeError, AttributeError) as error:
-            self._fail(f"the page sent a message that makes no sense: {error!r}")
+            self._fail(f"the page sent a message that makes no sense: {error!r}", request)
         except DvsvizError as error:
-            self._fail(str(error))
+            self._fail(str(error), request)
 
     async def _open(self, name: str) -> ShownSession:
         shown = self._library.opened(name)

@@ -153,6 +153,13 @@ def texture_picture(map_revision: MapRevision) -> Picture:
     return Picture(pixels=map_revision.texture, palette=_ramp(NEUTRAL))
 
 
+def map_levels(map_revision: MapRevision) -> Picture:
+    """Return the map's texture as it is stored, black to white."""
+    return Picture(
+        pixels=map_revision.texture, palette=np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)
+    )
+
+
 def keyframe_picture(image: Bytes) -> Picture:
     """Return a stored keyframe's image (height, width)."""
     return Picture(pixels=image, palette=_ramp(NEUTRAL))

@@ -159,6 +159,10 @@ class ShownSession:
         """Return `Ts_world_camera` (N, 4, 4), refined where they were."""
         return self.session.Ts_world_camera(refined=True)
 
+    def quaternions(self) -> NDArray[np.float64]:
+        """Return the quaternions wxyz (N, 4) of `poses`."""
+        return se3.quaternion_from_rotation(self.poses()[:, :3, :3])
+
     def statuses(self) -> NDArray[np.uint8]:
         """Return the windows' statuses (N,) as indices into `STATUSES`."""
         return self.session.column("status")

@@ -125,7 +125,7 @@ def test_help_opens_and_closes(dashboard: Dashboard) -> None:
     assert dashboard.page.locator("dialog#help").is_hidden()
 
 
-@pytest.mark.parametrize(("to", "begins"), [("tum", b""), ("rrd", b"RRF2")])
+@pytest.mark.parametrize(("to", "begins"), [("tum", b""), ("rrd", b"RRF2"), ("csv", b"window,start_us"), ("png", b"\x89PNG")])
 def test_the_export_buttons_give_files(dashboard: Dashboard, to: str, begins: bytes, tmp_path) -> None:
     dashboard.enter("barcode")
     dashboard.press("e")
