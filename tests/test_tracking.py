@@ -17,7 +17,7 @@ from dvsviz.geometry import se3
 from dvsviz.geometry.camera import Camera
 from dvsviz.geometry.plane import Plane, homography_map_camera, map_to_world, rotation_to_map
 from dvsviz.geometry.trajectory import Trajectory
-from dvsviz.session.records import Status, WindowResult
+from dvsviz.session.records import Failure, Status, WindowResult
 from dvsviz.simulate.simulate import simulate
 from dvsviz.tracking import constants as c
 from dvsviz.tracking.align import align, free_parameters, map_nodes
@@ -156,6 +156,7 @@ def test_covered_lens_is_lost_and_found_without_polluting_the_map(tmp_path: Path
     tracker = Tracker(recording.camera)
     rng = np.random.default_rng(0)
     states: list[Status] = []
+    failures: list[Failure] = []
     votes_lost: list[float] = []
     for window in windows(recording, lambda: tracker.window_size):
         covered = 1.3 < (window.start_us - recording.first_us) * 1e-6 < 1.6
@@ -171,9 +172,17 @@ def test_covered_lens_is_lost_and_found_without_polluting_the_map(tmp_path: Path
                 bearings=b,
             )
         states.append(tracker.step(window).status)
+        failures.extend(tracker.take_updates().failures)
         if states[-1] is Status.LOST:
             votes_lost.append(float(tracker._mapper.live_map.votes.sum()))
+    tracker.finish()
+    failures.extend(tracker.take_updates().failures)
     assert Status.LOST in states
+    lost = [f for f in failures if states[f.start : f.end].count(Status.LOST)]
+    assert len(lost) == 1
+    assert states[lost[0].end] in (Status.TRACKING, Status.WEAK)
+    assert lost[0].start <= lost[0].worst < lost[0].end
+    assert lost[0].message
     assert states[-1] in (Status.TRACKING, Status.WEAK)
     assert len(set(votes_lost)) == 1, "the map was written while lost"
 

@@ -150,3 +150,13 @@ RELIEF_UNEVEN: Final = 0.04
 RELIEF_DISPLACEMENT_PX: Final = 5.0
 # Contrast by contrast without motion below which a window says nothing.
 RELIEF_GAIN: Final = 1.03
+
+# --- failures -----------------------------------------------------------------------------------------------
+FAILURE_EVENTS: Final = 300
+# Image displacement in one window, px, beyond the reach of the alignment's coarsest blur.
+FAILURE_FAST_PX: Final = 12.0
+# Weak windows in a row that count as a failure; a lost one always does.
+FAILURE_WEAK_WINDOWS: Final = 3
+
+# Distance to the plane (plane distances) below which a pose is not believed as a start for a motion by contrast.
+PLANE_TOO_NEAR: Final = 0.05

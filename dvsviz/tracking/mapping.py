@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from dvsviz.geometry import se3
 from dvsviz.geometry.camera import Camera
 from dvsviz.geometry.plane import Plane
-from dvsviz.session.records import Keyframe, LogEntry, MapRevision, RefinedPoses, TrackerUpdates
+from dvsviz.session.records import Failure, Keyframe, LogEntry, MapRevision, RefinedPoses, TrackerUpdates
 from dvsviz.tracking import constants as c
 from dvsviz.tracking.align import align
 from dvsviz.tracking.planar_map import PlanarMap
@@ -50,6 +50,7 @@ class Mapper:
         self._new_revisions: list[MapRevision] = []
         self._new_refined: list[RefinedPoses] = []
         self._new_log: list[LogEntry] = []
+        self._new_failures: list[Failure] = []
         self.revision_at_keyframes = 0
 
     @property
@@ -233,6 +234,10 @@ class Mapper:
         """Add a line to the log of events."""
         self._new_log.append(LogEntry(window=window, level=level, text=text))
 
+    def tell(self, failure: Failure) -> None:
+        """Hand over a failure that has ended."""
+        self._new_failures.append(failure)
+
     def take_updates(self) -> TrackerUpdates:
         """Return and forget what is new."""
         updates = TrackerUpdates(
@@ -240,6 +245,8 @@ class Mapper:
             map_revisions=tuple(self._new_revisions),
             refined=tuple(self._new_refined),
             log=tuple(self._new_log),
+            failures=tuple(self._new_failures),
         )
-        self._new_keyframes, self._new_revisions, self._new_refined, self._new_log = [], [], [], []
+        self._new_keyframes, self._new_revisions, self._new_refined = [], [], []
+        self._new_log, self._new_failures = [], []
         return updates

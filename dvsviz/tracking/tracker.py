@@ -21,16 +21,18 @@ from numpy.typing import NDArray
 
 from dvsviz.config import TrackerConfig
 from dvsviz.contrast.iwe import sample_window
-from dvsviz.contrast.solve import ContrastProblem, ContrastSolution, maximize_contrast
+from dvsviz.contrast.solve import ContrastSolution
 from dvsviz.events.recording import EventSource
 from dvsviz.events.windows import EventWindow
 from dvsviz.geometry import se3
 from dvsviz.geometry.camera import Camera
 from dvsviz.geometry.plane import Plane
-from dvsviz.session.records import Status, TrackerUpdates, WindowResult
+from dvsviz.session.records import Cause, Status, TrackerUpdates, WindowResult
 from dvsviz.tracking import constants as c
 from dvsviz.tracking import diagnose
 from dvsviz.tracking.align import Alignment, align, free_parameters
+from dvsviz.tracking.bootstrap import AHEAD, motion_by_contrast
+from dvsviz.tracking.failures import FailureWatch, cause_of
 from dvsviz.tracking.mapping import Mapper
 from dvsviz.tracking.measure import WindowImages, measure
 from dvsviz.tracking.relocalize import relocalize
@@ -39,8 +41,6 @@ from dvsviz.tracking.traces import Trace
 from dvsviz.tracking.translation import ReliefOdometry
 
 Array = NDArray[np.float64]
-
-_AHEAD = np.array([0.0, 0.0, -1.0])
 
 
 class Tracker:
@@ -59,6 +59,7 @@ class Tracker:
         self._mapper = Mapper(camera, self._free, solve_normal=self.config.motion == "planar")
         self._motion = Motion.start()
         self._gain = 1.0
+        self._failures = FailureWatch()
         self._relief = ReliefOdometry(camera) if self.config.motion == "translation" else None
 
     @property
@@ -95,6 +96,11 @@ class Tracker:
             note = judged.note
         overlap = diagnose.overlap(self._mapper.live_map, images.warped, trace.T_world_camera, self.camera)
         used = self._mapper.revision
+        failed = self._failures.observe(
+            window.index, self._motion.status, judged.score, self._cause(judged, images, alignment, trace)
+        )
+        if failed is not None:
+            self._mapper.tell(failed)
         keyframe = -1
         if self._motion.status in (Status.INITIALIZING, Status.TRACKING):
             keyframe = self._mapper.add(trace, images.warped, overlap)
@@ -145,6 +151,9 @@ class Tracker:
 
     def finish(self) -> TrackerUpdates:
         """Return the last updates, after a final refinement of everything."""
+        failed = self._failures.finish()
+        if failed is not None:
+            self._mapper.tell(failed)
         self._mapper.finish(refine=not self._drifts)
         return self._mapper.take_updates()
 
@@ -173,30 +182,8 @@ class Tracker:
         )
 
     def _contrast(self, window: EventWindow) -> ContrastSolution:
-        """Return the motion of a window by contrast alone, from a zero start."""
-        step = max(1, len(window) // c.CONTRAST_EVENTS)
-        signs = np.where(window.events.is_positive, np.float32(1), np.float32(-1))[::step]
-        # On integer pixels zero motion is an artificial maximum of the bilinear votes: dither removes it.
-        rng = np.random.default_rng((self.config.seed, window.index))
-        dither = rng.uniform(-0.5, 0.5, (len(signs), 2)) / (self.camera.fx, self.camera.fy)
-        problem = ContrastProblem(
-            bearings=(window.bearings[::step] + dither).astype(np.float32),
-            t_s=np.ascontiguousarray(window.t_s[::step]),
-            weights=np.ascontiguousarray(signs),
-            camera=self.camera,
-            duration_s=window.duration_s,
-        )
         plane = self._mapper.plane.seen_from(self._motion.T_world_camera)
-        if plane.distance < 0.05:
-            plane = Plane(normal=_AHEAD)
-        return maximize_contrast(
-            problem,
-            plane,
-            free=self._free,
-            ridge=c.CONTRAST_RIDGE,
-            blurs_px=c.CONTRAST_BLURS_PX,
-            max_evaluations=c.CONTRAST_EVALUATIONS,
-        )
+        return motion_by_contrast(self.camera, window, plane, self._free, self.config.seed)
 
     def _start(self, window: EventWindow, sampled: tuple[NDArray[np.float32], Array], mid_us: int) -> Trace:
         """Return the first window's trace: its pose is the identity, its motion found by contrast alone."""
@@ -205,7 +192,7 @@ class Tracker:
         T = se3.propagate(np.eye(4), solution.omega, solution.velocity, mid_s)
         R_mid_start = se3.exp_so3(solution.omega * mid_s).T
         self._motion.omega, self._motion.velocity = solution.omega, R_mid_start @ solution.velocity
-        self._mapper.begin(Plane(normal=_AHEAD))
+        self._mapper.begin(Plane(normal=AHEAD))
         return self._trace(window, sampled, mid_us, T)
 
     def _follow(
@@ -344,7 +331,7 @@ class Tracker:
         if self._motion.status is not Status.INITIALIZING:
             if self._motion.bad_windows >= c.LOST_WINDOWS:
                 self._motion.status = Status.LOST
-                judged = replace(judged, note=self._why(judged, images, alignment))
+                judged = replace(judged, note="lost: " + self._cause(judged, images, alignment, trace)[1])
             elif bad or weak_now:
                 self._motion.status = Status.WEAK
             else:
@@ -353,14 +340,10 @@ class Tracker:
             self._motion.good_score += c.SCORE_GAIN * (agreed.score - self._motion.good_score)
         return judged
 
-    def _why(self, judged: diagnose.Judgement, images: WindowImages, alignment: Alignment) -> str:
-        if alignment.inside < c.LOST_INSIDE:
-            return f"lost: only {100 * alignment.inside:.0f} % of the events fall on the map"
-        if images.edge_pixels < c.TEXTURE_EDGE_PIXELS:
-            return f"lost: too little texture, {images.edge_pixels} edge pixels in view"
-        if judged.condition > c.WEAK_CONDITION:
-            return f"lost: {diagnose.in_words(judged.weak_direction)} cannot be seen in this texture"
-        return f"lost: score {judged.score:.2f}, {self._motion.good_score:.2f} when it was good"
+    def _cause(
+        self, judged: diagnose.Judgement, images: WindowImages, alignment: Alignment | None, trace: Trace
+    ) -> tuple[Cause, str]:
+        return cause_of(judged, images, alignment, trace.events, self._motion.good_score)
 
     def _resize(self, displacement: float) -> None:
         """Move the window size towards the wanted image displacement."""

@@ -1,0 +1,49 @@
+"""The motion of one window by contrast alone: how tracking starts, and how a lost window is de-skewed."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvsviz.contrast.solve import ContrastProblem, ContrastSolution, maximize_contrast
+from dvsviz.events.windows import EventWindow
+from dvsviz.geometry.camera import Camera
+from dvsviz.geometry.plane import Plane
+from dvsviz.tracking import constants as c
+
+# The plane assumed before anything is known: straight ahead.
+AHEAD = np.array([0.0, 0.0, -1.0])
+
+
+def motion_by_contrast(
+    camera: Camera, window: EventWindow, plane: Plane, free: NDArray[np.bool_], seed: int
+) -> ContrastSolution:
+    """Return the motion of a window from a zero start, of a sample of its events.
+
+    Args:
+        camera: of the window.
+        window: its events.
+        plane: in the camera frame; the plane ahead is taken where the camera is too close to it.
+        free: mask (6,) over rotation and translation.
+        seed: of the dither.
+    """
+    step = max(1, len(window) // c.CONTRAST_EVENTS)
+    signs = np.where(window.events.is_positive, np.float32(1), np.float32(-1))[::step]
+    # On integer pixels zero motion is an artificial maximum of the bilinear votes: dither removes it.
+    rng = np.random.default_rng((seed, window.index))
+    dither = rng.uniform(-0.5, 0.5, (len(signs), 2)) / (camera.fx, camera.fy)
+    problem = ContrastProblem(
+        bearings=(window.bearings[::step] + dither).astype(np.float32),
+        t_s=np.ascontiguousarray(window.t_s[::step]),
+        weights=np.ascontiguousarray(signs),
+        camera=camera,
+        duration_s=window.duration_s,
+    )
+    return maximize_contrast(
+        problem,
+        plane if plane.distance > c.PLANE_TOO_NEAR else Plane(normal=AHEAD),
+        free=free,
+        ridge=c.CONTRAST_RIDGE,
+        blurs_px=c.CONTRAST_BLURS_PX,
+        max_evaluations=c.CONTRAST_EVALUATIONS,
+    )

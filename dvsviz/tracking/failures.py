@@ -1,0 +1,86 @@
+"""Failures: stretches of weak or lost windows, each with its cause, read off what was measured."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dvsviz.session.records import Cause, Failure, Status
+from dvsviz.tracking import constants as c
+from dvsviz.tracking.align import Alignment
+from dvsviz.tracking.diagnose import Judgement, in_words
+from dvsviz.tracking.measure import WindowImages
+
+
+def cause_of(
+    judged: Judgement, images: WindowImages, alignment: Alignment | None, events: int, good_score: float
+) -> tuple[Cause, str]:
+    """Return the most likely cause of a bad window, and a sentence.
+
+    Args:
+        judged: its score and condition.
+        images: its edge pixels and displacement.
+        alignment: where its events fell on the map, if it was aligned.
+        events: how many it had.
+        good_score: running score of good windows.
+    """
+    if events < c.FAILURE_EVENTS:
+        return Cause.TOO_FEW_EVENTS, f"only {events} events in the window"
+    if images.edge_pixels < c.TEXTURE_EDGE_PIXELS:
+        return Cause.TOO_LITTLE_TEXTURE, f"too little texture: {images.edge_pixels} edge pixels in view"
+    if alignment is not None and alignment.inside < c.LOST_INSIDE:
+        return Cause.LEFT_MAP, f"left the map: {100 * alignment.inside:.0f} % of the events fall on it"
+    if np.isfinite(judged.condition) and judged.condition > c.WEAK_CONDITION:
+        return Cause.WEAK_DIRECTION, f"{in_words(judged.weak_direction)} cannot be seen in this texture"
+    if images.displacement_px > c.FAILURE_FAST_PX:
+        return Cause.TOO_FAST, f"faster than the search: {images.displacement_px:.0f} px in one window"
+    if np.isfinite(judged.score):
+        return (
+            Cause.UNKNOWN,
+            f"the events no longer fit the map: score {judged.score:.2f}, {good_score:.2f} when good",
+        )
+    return Cause.UNKNOWN, "no pose on the map fits the events"
+
+
+class FailureWatch:
+    """Follows the windows' statuses and tells each failure when it has ended."""
+
+    def __init__(self) -> None:
+        self._start: int | None = None
+        self._was_lost = False
+        self._worst = (float("inf"), -1)
+        self._cause: tuple[Cause, str] = (Cause.UNKNOWN, "")
+        self._last = -1
+
+    def observe(self, window: int, status: Status, score: float, cause: tuple[Cause, str]) -> Failure | None:
+        """Take one window; return the failure that it ends, if any.
+
+        Args:
+            window: its number.
+            status: what became of it.
+            score: its agreement with the map; NaN where there is none.
+            cause: `cause_of` it.
+        """
+        self._last = window
+        bad = status in (Status.WEAK, Status.LOST, Status.RELOCALIZING)
+        if not bad:
+            return self._end(window)
+        lost = status is not Status.WEAK
+        if self._start is None:
+            self._start, self._cause = window, cause
+        # The cause is that of the moment it was lost, or of the worst weak window before; what follows is consequence.
+        value = score if np.isfinite(score) else 1.0
+        if not self._was_lost and (lost or value < self._worst[0]):
+            self._worst, self._cause = (value, window), cause
+        self._was_lost |= lost
+        return None
+
+    def finish(self) -> Failure | None:
+        """Return the failure that the recording's end cut off, if any."""
+        return self._end(self._last + 1)
+
+    def _end(self, window: int) -> Failure | None:
+        start, lost, worst, cause = self._start, self._was_lost, self._worst, self._cause
+        self._start, self._was_lost, self._worst = None, False, (float("inf"), -1)
+        if start is None or (not lost and window - start < c.FAILURE_WEAK_WINDOWS):
+            return None
+        return Failure(cause=cause[0], start=start, end=window, worst=max(start, worst[1]), message=cause[1])
