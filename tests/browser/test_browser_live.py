@@ -15,9 +15,9 @@ pytestmark = pytest.mark.browser
 @pytest.fixture
 def growing(sessions_folder: Path, tmp_path: Path):
     """A session written window by window by another thread of another process than the server's."""
-    recording = samples.write_recording(tmp_path / "growing.h5", 150)
+    recording = samples.write_recording(tmp_path / "growing.h5", 100)
     path = sessions_folder / "growing.h5"
-    writer = threading.Thread(target=samples.write_session, args=(path, recording, 150), kwargs={"delay_s": 0.06})
+    writer = threading.Thread(target=samples.write_session, args=(path, recording, 100), kwargs={"delay_s": 0.06})
     writer.start()
     yield writer
     writer.join()
@@ -48,7 +48,7 @@ def test_the_playhead_follows_a_live_session_until_it_is_moved(
     dashboard.page.locator("#follow").click()
     dashboard.until(lambda: dashboard.state["shown"] >= dashboard.state["windows"] - 8, "it follows again")
     growing.join()
-    dashboard.until(lambda: dashboard.state["windows"] == 150 and not dashboard.state["live"], "its end is seen")
-    dashboard.until_shown(149)
+    dashboard.until(lambda: dashboard.state["windows"] == 100 and not dashboard.state["live"], "its end is seen")
+    dashboard.until_shown(99)
     assert dashboard.page.locator("#live").is_hidden()
     assert not dashboard.problems

@@ -28,17 +28,13 @@ def test_a_session_opens_at_its_first_failure_with_the_right_image(dashboard: Da
     assert dashboard.decoded("warped") == FAILURES[0].worst
 
 
-def test_a_click_on_the_timeline_seeks(dashboard: Dashboard) -> None:
+def test_clicks_and_drags_on_the_timeline_seek(dashboard: Dashboard) -> None:
     dashboard.enter("barcode", 5)
     for share in (0.25, 0.7, 0.031):
         dashboard.page.mouse.click(*dashboard.timeline_x(share))
         expected = int(share * 300)
         dashboard.until(lambda e=expected: abs(dashboard.state["shown"] - e) <= 1, f"window {expected} is shown")
         dashboard.until_shown(dashboard.state["window"])
-
-
-def test_dragging_ends_on_the_window_under_the_pointer(dashboard: Dashboard) -> None:
-    dashboard.enter("barcode", 5)
     dashboard.page.mouse.move(*dashboard.timeline_x(0.1))
     dashboard.page.mouse.down()
     for share in np.linspace(0.1, 0.9, 60):
@@ -108,7 +104,7 @@ def test_speed_and_steps(dashboard: Dashboard) -> None:
     assert dashboard.state["playing"] is False
 
 
-def test_failures_and_keyframes_by_key(dashboard: Dashboard) -> None:
+def test_failures_and_keyframes_by_key_and_from_the_list(dashboard: Dashboard) -> None:
     dashboard.enter("barcode", 0)
     dashboard.press("n")
     dashboard.until_shown(FAILURES[0].worst)
@@ -123,10 +119,6 @@ def test_failures_and_keyframes_by_key(dashboard: Dashboard) -> None:
     dashboard.until_shown(123)
     dashboard.press("Shift+K")
     dashboard.until_shown(93)
-
-
-def test_a_failure_is_chosen_from_the_list(dashboard: Dashboard) -> None:
-    dashboard.enter("barcode", 0)
     dashboard.page.get_by_role("tab", name="Failures 2").click()
     dashboard.page.get_by_role("button", name=FAILURES[1].message).click()
     dashboard.until_shown(FAILURES[1].worst)
@@ -146,7 +138,7 @@ def test_the_address_reopens_session_and_window(dashboard: Dashboard) -> None:
     )
 
 
-def test_the_numbers_stand_beside_the_images(dashboard: Dashboard) -> None:
+def test_numbers_beside_the_images_and_one_colour_or_two(dashboard: Dashboard) -> None:
     dashboard.enter("barcode", 42)
     text = dashboard.page.locator("#panel-numbers").inner_text()
     assert "position" in text
@@ -155,10 +147,6 @@ def test_the_numbers_stand_beside_the_images(dashboard: Dashboard) -> None:
     assert dashboard.page.locator("[data-kind=raw] .caption").inner_text().split() == ["raw", "1600", "events"] or (
         "600 events" in dashboard.page.locator("[data-kind=raw] .caption").inner_text()
     )
-
-
-def test_polarity_is_switched(dashboard: Dashboard) -> None:
-    dashboard.enter("barcode", 42)
     colours = """() => {
       const canvas = document.querySelector("[data-kind=raw] canvas");
       const data = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
