@@ -16,11 +16,13 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from dvsviz.cli import arguments, main
+from dvsviz.cli import arguments, main, simulation_arguments
 from dvsviz.geometry.camera import Camera
 from dvsviz.geometry.tum import write_tum
 from dvsviz.session.store import open_session
+from dvsviz.simulate.flights import FlightName
 from dvsviz.simulate.motion import MotionName
+from dvsviz.simulate.rooms import ReliefName
 from dvsviz.simulate.scenes import SceneName
 from dvsviz.simulate.simulate import simulate
 
@@ -118,8 +120,8 @@ def test_wrong_options_say_so_in_one_line(argv: list[str], said: str, capsys: py
 
 
 def test_choices_are_those_of_the_simulator() -> None:
-    assert get_args(arguments.Scene) == get_args(SceneName)
-    assert get_args(arguments.CameraMotion) == get_args(MotionName)
+    assert get_args(simulation_arguments.Scene) == (*get_args(SceneName), *get_args(ReliefName))
+    assert (*get_args(MotionName), *get_args(FlightName)) == simulation_arguments.MOTIONS
 
 
 # --- commands --------------------------------------------------------------------------------------------------

@@ -5,15 +5,16 @@ from __future__ import annotations
 import contextlib
 import io
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, Union, get_args
 
 import tyro
 from tyro.conf import Positional, arg
-from tyro.constructors import PrimitiveConstructorSpec
 
+from dvsviz.cli.options import Calibration, Flag, Folder, Json, Repair, Size, option, read_number, read_roi
+from dvsviz.cli.simulation_arguments import Simulate, SimulateSuite
 from dvsviz.config import Motion
 from dvsviz.errors import DvsvizError
 
@@ -21,8 +22,6 @@ if TYPE_CHECKING:
     from dvsviz.events.filters import FilterConfig
 
 Target = Literal["hdf5", "uzh", "dsec", "aedat4", "tum"]
-Scene = Literal["shapes", "poster", "stripes", "checkerboard"]
-CameraMotion = Literal["handheld", "slider", "rotation", "shake"]
 Align = Literal["sim3", "se3", "none"]
 Poses = Literal["refined", "online"]
 
@@ -39,43 +38,6 @@ class Command(Protocol):
         ...
 
 
-def _size(word: str) -> tuple[int, int]:
-    found = re.fullmatch(r"(\d+)[xX×](\d+)", word)
-    if not found:
-        raise ValueError(f"expected WIDTHxHEIGHT such as 240x180, got {word}")
-    return int(found[1]), int(found[2])
-
-
-def _roi(word: str) -> tuple[int, int, int, int]:
-    found = re.fullmatch(r"(\d+),(\d+),(\d+),(\d+)", word)
-    if not found:
-        raise ValueError(f"expected X,Y,WIDTH,HEIGHT such as 60,40,120,90, got {word}")
-    return int(found[1]), int(found[2]), int(found[3]), int(found[4])
-
-
-def _number(kind: type[int] | type[float]) -> Callable[[str], Any]:
-    def read(word: str) -> Any:
-        try:
-            return kind(word)
-        except ValueError:
-            wanted = "a whole number" if kind is int else "a number"
-            raise ValueError(f"expected {wanted}, got {word}") from None
-
-    return read
-
-
-def _option(metavar: str, read: Callable[[str], Any], unset: str) -> tuple[Any, Any]:
-    """Return the constructor of an option that may be left away, and the words for what happens then."""
-    spec = PrimitiveConstructorSpec(
-        nargs=1,
-        metavar=metavar,
-        instance_from_str=lambda words: read(words[0]),
-        is_instance=lambda value: True,
-        str_from_instance=lambda value: [str(value)],
-    )
-    return spec, arg(help_behavior_hint=f"(default: {unset})")
-
-
 def _motion(word: str) -> str:
     if word not in get_args(Motion):
         raise ValueError(f"expected one of {', '.join(get_args(Motion))}, got {word}")
@@ -88,32 +50,6 @@ def _target(word: str) -> str:
     return word
 
 
-Flag = Annotated[bool, arg(help_behavior_hint="")]
-Json = Annotated[bool, arg(help_behavior_hint="", help="Print one JSON object on standard output.")]
-Size = Annotated[
-    tuple[int, int] | None,
-    *_option("WxH", _size, "what the recording says"),
-    arg(help="Sensor width and height in pixels, where the recording does not say it."),
-]
-Calibration = Annotated[
-    Path | None,
-    *_option("FILE", Path, "the recorded one"),
-    arg(help="Calibration file that replaces the recorded one: fx fy cx cy k1 k2 p1 p2 k3."),
-]
-Repair = Annotated[
-    bool,
-    arg(
-        help_behavior_hint="",
-        help="Drop and count events, poses and frames that are wrong, instead of refusing the file.",
-    ),
-]
-Folder = Annotated[
-    Path | None,
-    *_option("DIR", Path, "$DVSVIZ_SESSIONS, else sessions"),
-    arg(help="Where sessions are kept."),
-]
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Opening:
     """How a recording is opened."""
@@ -121,17 +57,17 @@ class Opening:
     size: Size = None
     calibration: Calibration = None
     repair: Repair = False
-    topic: Annotated[str | None, *_option("NAME", str, "the only one")] = None
+    topic: Annotated[str | None, *option("NAME", str, "the only one")] = None
     """Which event topic of a bag."""
-    ground_truth: Annotated[str | None, *_option("FILE|TOPIC", str, "the recorded one")] = None
+    ground_truth: Annotated[str | None, *option("FILE|TOPIC", str, "the recorded one")] = None
     """True poses: TUM or Event-Camera-Dataset text, EuRoC CSV, or a topic of the bag."""
-    gt_offset: Annotated[float, *_option("SECONDS", _number(float), "0")] = 0.0
+    gt_offset: Annotated[float, *option("SECONDS", read_number(float), "0")] = 0.0
     """What is added to the times of the true poses."""
     hot_pixels: Flag = False
     """Leave out the events of pixels that fire far more often than those around them."""
-    background_activity: Annotated[int | None, *_option("US", _number(int), "off")] = None
+    background_activity: Annotated[int | None, *option("US", read_number(int), "off")] = None
     """Leave out events without another one beside them in so many microseconds before."""
-    refractory: Annotated[int | None, *_option("US", _number(int), "off")] = None
+    refractory: Annotated[int | None, *option("US", read_number(int), "off")] = None
     """Leave out events of a pixel that fired less than so many microseconds before."""
 
     def filters(self) -> FilterConfig:
@@ -156,11 +92,11 @@ class Opening:
 class Tracking(Opening):
     """How a recording is tracked."""
 
-    motion: Annotated[Motion | None, *_option("{planar,translation,rotation}", _motion, "planar")] = None
+    motion: Annotated[Motion | None, *option("{planar,translation,rotation}", _motion, "planar")] = None
     """planar: 6-DoF in front of a plane; translation: no rotation; rotation: no translation."""
-    window: Annotated[int | None, *_option("N", _number(int), "chosen by the image motion")] = None
+    window: Annotated[int | None, *option("N", read_number(int), "chosen by the image motion")] = None
     """Events a window; a window also ends after 100 ms."""
-    plane_distance: Annotated[float | None, *_option("METRES", _number(float), "not known")] = None
+    plane_distance: Annotated[float | None, *option("METRES", read_number(float), "not known")] = None
     """Distance from the first camera to the plane, for metric output."""
 
 
@@ -194,15 +130,15 @@ class Convert(Opening):
     """The recording: file, folder or archive."""
     out: Annotated[Positional[Path], arg(metavar="OUT")]
     """What is written."""
-    to: Annotated[Target | None, *_option("{hdf5,uzh,dsec,aedat4,tum}", _target, "told by the ending of OUT")] = None
+    to: Annotated[Target | None, *option("{hdf5,uzh,dsec,aedat4,tum}", _target, "told by the ending of OUT")] = None
     """The format; tum writes the true poses alone."""
-    start: Annotated[float | None, *_option("SECONDS", _number(float), "the first event")] = None
+    start: Annotated[float | None, *option("SECONDS", read_number(float), "the first event")] = None
     """Seconds after the first event."""
-    end: Annotated[float | None, *_option("SECONDS", _number(float), "the last event")] = None
+    end: Annotated[float | None, *option("SECONDS", read_number(float), "the last event")] = None
     """Seconds after the first event, exclusive."""
-    roi: Annotated[tuple[int, int, int, int] | None, *_option("X,Y,W,H", _roi, "the whole sensor")] = None
+    roi: Annotated[tuple[int, int, int, int] | None, *option("X,Y,W,H", read_roi, "the whole sensor")] = None
     """Pixels that are kept."""
-    stride: Annotated[int, *_option("N", _number(int), "1")] = 1
+    stride: Annotated[int, *option("N", read_number(int), "1")] = 1
     """Every N-th event is kept."""
     force: Flag = False
     """Replace a file that is there."""
@@ -216,33 +152,6 @@ class Convert(Opening):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Simulate:
-    """Write a simulated recording of a wall, with its ground truth.
-
-    Example:  dvsviz simulate --scene shapes --motion handheld --seconds 10 --seed 1 --out r.h5
-    """
-
-    out: Annotated[Path, arg(metavar="FILE.h5")]
-    """The recording to write."""
-    scene: Scene = "shapes"
-    """What is on the wall."""
-    motion: CameraMotion = "handheld"
-    """How the camera moves."""
-    seconds: float = 10.0
-    """Duration."""
-    seed: int = 1
-    """Of everything random: the same seed writes the same events."""
-    force: Flag = False
-    """Replace a recording that is there."""
-
-    def run(self) -> int:
-        """Simulate."""
-        from dvsviz.cli.files import simulate
-
-        return simulate(self)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Track(Tracking):
     """Track a recording into a session.
 
@@ -252,14 +161,14 @@ class Track(Tracking):
 
     recording: Annotated[Positional[Path], arg(metavar="RECORDING")]
     """The recording: file, folder or archive."""
-    out: Annotated[Path | None, *_option("SESSION.h5", Path, "sessions/NAME.h5")] = None
+    out: Annotated[Path | None, *option("SESSION.h5", Path, "sessions/NAME.h5")] = None
     """The session to write."""
     force: Flag = False
     """Replace a session that is there."""
     resume: Flag = False
     """Continue an interrupted session from its last checkpoint."""
     json: Json = False
-    rerun: Annotated[Path | None, *_option("FILE.rrd", Path, "none")] = None
+    rerun: Annotated[Path | None, *option("FILE.rrd", Path, "none")] = None
     """Log to a rerun recording while tracking."""
 
     def run(self) -> int:
@@ -299,11 +208,11 @@ class Evaluate:
 
     session: Annotated[Positional[Path], arg(metavar="SESSION")]
     """A session, or a TUM file of estimated poses."""
-    truth: Annotated[Path | None, *_option("FILE", Path, "the session's own"), arg(aliases=("--ground-truth",))] = (
+    truth: Annotated[Path | None, *option("FILE", Path, "the session's own"), arg(aliases=("--ground-truth",))] = (
         None
     )
     """True poses: TUM or Event-Camera-Dataset text, or EuRoC CSV."""
-    gt_offset: Annotated[float, *_option("SECONDS", _number(float), "0")] = 0.0
+    gt_offset: Annotated[float, *option("SECONDS", read_number(float), "0")] = 0.0
     """What is added to the times of the true poses."""
     align: Align = "sim3"
     """What is removed before positions are compared: similarity, rigid motion or nothing."""
@@ -382,6 +291,7 @@ COMMANDS: dict[str, tuple[Any, str]] = {
     "info": (Info, "say what is in a recording or a session"),
     "convert": (Convert, "write a recording in another format, whole or in part"),
     "simulate": (Simulate, "write a simulated recording with its ground truth"),
+    "simulate-suite": (SimulateSuite, "write the simulated recordings that trackers are measured by"),
     "track": (Track, "track a recording into a session"),
     "evaluate": (Evaluate, "compare a session with the truth"),
     "export": (Export, "write a session for rerun or as a TUM trajectory"),

@@ -1,4 +1,4 @@
-"""`dvsviz info`, `simulate`, `evaluate` and `export`."""
+"""`dvsviz info`, `convert`, `evaluate` and `export`."""
 
 from __future__ import annotations
 
@@ -38,28 +38,6 @@ def info(command: arguments.Info) -> int:
             print_fields(fields(found))
         else:
             print_fields({name.replace("_", " "): _words(value) for name, value in found.items()})
-    return 0
-
-
-def simulate(command: arguments.Simulate) -> int:
-    """Write a simulated recording."""
-    from dvsviz.simulate.simulate import simulate as run
-
-    if command.out.exists() and not command.force:
-        raise DvsvizError("already exists", path=command.out, hint="replace it with --force")
-    try:
-        with share_bar(f"simulating {command.out.name}") as show:
-            run(
-                command.out,
-                scene=command.scene,
-                motion=command.motion,
-                seconds=command.seconds,
-                seed=command.seed,
-                progress=show,
-            )
-    except ValueError as error:
-        raise DvsvizError(str(error), hint="see dvsviz simulate --help") from error
-    note(f"wrote {command.out}")
     return 0
 
 

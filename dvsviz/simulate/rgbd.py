@@ -98,7 +98,7 @@ def simulate_rgbd(
     if not isinstance(relief, Relief):
         raise ValueError(f"scene: expected one with depth, got {scene!r}")
     path, seconds = make_path(motion, rngs[0], seconds, distance=1.0, relief=relief)
-    t_us = np.round(np.arange(int(seconds * rate_hz) + 1) * 1e6 / rate_hz).astype(np.int64)
+    t_us = np.round(np.arange(int(seconds * rate_hz + 1e-6) + 1) * 1e6 / rate_hz).astype(np.int64)
     names = [f"{seconds_text(int(t))}.png" for t in t_us]
     view = ReliefView(PixelGrid.of(camera), relief)
     try:

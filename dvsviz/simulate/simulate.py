@@ -161,7 +161,9 @@ def simulate(
     """
     if seconds is not None and not 0 < seconds <= 36_000:
         raise ValueError(f"seconds: expected 0 to 36000, got {seconds}")
-    if not distance > 0 or not 0 <= tilt_deg < 80:
+    if not 0 <= frames_hz <= 10_000:
+        raise ValueError(f"frames_hz: expected 0 to 10000, got {frames_hz}")
+    if not 0 < distance < 1e4 or not 0 <= tilt_deg < 80:
         raise ValueError(
             f"distance, tilt_deg: expected metres above 0 and 0 to 80 degrees, got {distance}, {tilt_deg}"
         )

@@ -1,0 +1,100 @@
+"""`dvsviz simulate` and `simulate-suite`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from dvsviz.cli.console import note, share_bar
+from dvsviz.cli.simulation_arguments import MOTIONS, Simulate, SimulateSuite
+from dvsviz.errors import DvsvizError
+
+if TYPE_CHECKING:
+    from dvsviz.geometry.camera import Camera
+
+
+def simulate(command: Simulate) -> int:
+    """Write a simulated recording or RGB-D sequence."""
+    if command.out.exists() and not command.force:
+        raise DvsvizError("already exists", path=command.out, hint="replace it with --force")
+    if command.layout != "hdf5" and command.out.is_file():
+        raise DvsvizError("is a file", path=command.out, hint=f"name a folder for the layout {command.layout}")
+    options: dict[str, Any] = {
+        "scene": command.scene,
+        "motion": command.motion if command.motion in MOTIONS else Path(command.motion),
+        "seconds": command.seconds,
+        "seed": command.seed,
+    }
+    try:
+        options["camera"] = _camera(command)
+        with share_bar(f"simulating {command.out.name}") as show:
+            if command.layout == "rgbd":
+                from dvsviz.simulate.rgbd import simulate_rgbd
+
+                rate = 30.0 if command.frames_hz is None else command.frames_hz
+                simulate_rgbd(command.out, rate_hz=rate, progress=show, **options)
+            else:
+                _events(command, options, show)
+    except ValueError as error:
+        raise DvsvizError(str(error), hint="see dvsviz simulate --help") from error
+    note(f"wrote {command.out}")
+    return 0
+
+
+def _events(command: Simulate, options: dict[str, Any], show: Callable[[float], None]) -> None:
+    """Write a recording of events in the layout that is asked for."""
+    from dvsviz.simulate.simulate import simulate as run
+
+    options |= {"distance": command.distance, "tilt_deg": command.tilt_deg, "frames_hz": command.frames_hz or 0.0}
+    if command.layout == "hdf5":
+        run(command.out, progress=show, **options)
+        return
+    from dvsviz.formats.hdf5 import read_recording
+    from dvsviz.formats.uzh_writer import write_uzh
+
+    passing = command.out.with_name(command.out.name + ".partial.h5")
+    try:
+        run(passing, progress=show, **options)
+        write_uzh(read_recording(passing), command.out)
+    finally:
+        passing.unlink(missing_ok=True)
+
+
+def _camera(command: Simulate) -> Camera | None:
+    """Return the camera that was asked for, or None for the usual one."""
+    from dataclasses import replace
+
+    if command.calibration is None and command.size is None:
+        return None
+    if command.layout == "rgbd":
+        from dvsviz.simulate.rgbd import rgbd_camera as usual
+    else:
+        from dvsviz.simulate.simulate import default_camera as usual
+    camera = usual()
+    if command.calibration is not None:
+        from dvsviz.formats.calibration import read_calibration
+
+        found = read_calibration(command.calibration)
+        return found.camera(*(command.size or found.size or (camera.width, camera.height)))
+    width, height = command.size or (camera.width, camera.height)
+    if not (1 <= width <= 4096 and 1 <= height <= 4096):
+        raise ValueError(f"size: expected 1 to 4096 pixels, got {width}x{height}")
+    f = camera.fx * width / camera.width
+    return replace(camera, width=width, height=height, fx=f, fy=f, cx=(width - 1) / 2, cy=(height - 1) / 2)
+
+
+def simulate_suite(command: SimulateSuite) -> int:
+    """Write the suite's recordings that are not there and print where all are."""
+    from dvsviz.simulate.suite import simulate_suite as run
+    from dvsviz.simulate.suite import suite_entries
+
+    try:
+        entries = suite_entries(command.names or None)
+    except ValueError as error:
+        raise DvsvizError(str(error), hint="see dvsviz simulate-suite --help") from error
+    for entry in entries:
+        with share_bar(f"simulating {entry.name}") as show:
+            run(command.out, [entry.name], lambda _, share, show=show: show(share))
+        print(entry.path(command.out))
+    return 0
