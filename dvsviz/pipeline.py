@@ -10,6 +10,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -82,6 +83,8 @@ def track(
         ConfigError: `config` differs from the session that is resumed.
         FormatError: the recording turned out to be damaged.
     """
+    # Blurs of a sensor's size: OpenCV's threads cost more than they save, and the other core belongs to the viewer.
+    cv2.setNumThreads(1)
     if recording.events.count == 0:
         raise SessionError("no events to track", path=recording.path, hint="check the recording with `dvsviz info`")
     _check_target(recording, out, force=force)

@@ -141,8 +141,8 @@ TEXTURE_EDGE_PIXELS: Final = 150
 # Direction of travel on slider_depth: 0.5 degrees off with one blur of 2 px, 3.5 with 2 and 1 px.
 RELIEF_BLURS_START_PX: Final = (4.0, 2.0)
 RELIEF_BLURS_PX: Final = (2.0,)
-RELIEF_EVENTS: Final = 8_000
-RELIEF_EVALUATIONS: Final = 20
+RELIEF_EVENTS: Final = 6_000
+RELIEF_EVALUATIONS: Final = 14
 # Windows with enough motion after which it is decided whether the scene is a plane; the relative deviation of none.
 RELIEF_WINDOWS: Final = 5
 RELIEF_UNEVEN: Final = 0.04
