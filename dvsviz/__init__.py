@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 # Our systems have tens of unknowns: BLAS threads wait for each other longer than they compute (4 ms instead of 0.05 ms
-# a call, beside one other process on two cores). It counts only where numpy is not loaded yet; a user's own setting wins.
+# a call, beside one other process on two cores). It counts where numpy is not loaded yet; a user's own setting wins.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # Loaded when first used: `import dvsviz` and `dvsviz --help` stay quick.
