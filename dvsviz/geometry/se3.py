@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
 
@@ -152,8 +152,12 @@ def interpolate(t_us: ArrayLike, Ts_world_camera: ArrayLike, at_us: ArrayLike) -
         raise ValueError(f"at_us: expected times in [{t[0]}, {t[-1]}], got [{at.min()}, {at.max()}]")
     if len(t) == 1:
         return np.repeat(Ts[:1], len(at), axis=0)
-    # Seconds relative to the first pose: Unix microseconds (1.7e15) keep all their digits.
-    s, s_at = (t - t[0]) * 1e-6, (at - t[0]) * 1e-6
-    R = Slerp(s, Rotation.from_matrix(Ts[:, :3, :3]))(s_at).as_matrix()
-    p = np.stack([np.interp(s_at, s, Ts[:, i, 3]) for i in range(3)], axis=-1)
+    # Only the poses beside the times are looked at: of a long trajectory often one time is asked for.
+    before = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 2)
+    first, second = Ts[before], Ts[before + 1]
+    # Whole microseconds first: Unix time (1.7e15) keeps all its digits.
+    share = (at - t[before]) / (t[before + 1] - t[before])
+    turn = log_so3(np.swapaxes(first[:, :3, :3], -1, -2) @ second[:, :3, :3])
+    R = first[:, :3, :3] @ exp_so3(share[:, None] * turn)
+    p = first[:, :3, 3] + share[:, None] * (second[:, :3, 3] - first[:, :3, 3])
     return pose(R, p)
