@@ -41,6 +41,8 @@ export const sessions = async () => (await call("/api/sessions")).json();
 export const session = async (name, tab) => (await call(`${place(name)}?tab=${tab}`)).json();
 export const startExport = async (name, to) => (await (await post(`${place(name)}/export`, { to })).json()).id;
 export const exportAddress = (id) => `/api/exports/${encodeURIComponent(id)}`;
+/** Sets a bookmark `{window, text}` or takes one away `{delete: number}`; resolves to those there are. */
+export const bookmark = async (name, change) => (await (await post(`${place(name)}/bookmarks`, change)).json()).bookmarks;
 export const run = (name, action) => post(`/api/runs/${encodeURIComponent(name)}`, { action });
 
 /** Columns from window `start` on: `{start, count, columns: {name: typed array}}`. */

@@ -20,6 +20,7 @@ const KEYS = [
     [["p"], "previous failure", "previousFailure"],
     [["k"], "next keyframe", "nextKeyframe"],
     [["shift+K"], "previous keyframe", "previousKeyframe"],
+    [["b"], "bookmark this window", "bookmark"],
     [["/"], "filter sessions", "filter"],
   ]],
   ["See", [

@@ -10,6 +10,7 @@ import { amount, clockTime, duration } from "./format.js";
 import { Images, KINDS } from "./images.js";
 import { listenToKeys, toggleHelp } from "./keys.js";
 import { liveStrip } from "./live.js";
+import { Marks } from "./marks.js";
 import { Numbers } from "./numbers.js";
 import { listen } from "./pointer.js";
 import { Scene } from "./scene.js";
@@ -40,6 +41,7 @@ const failures = new Failures(state, byHand);
 const list = new Sessions(state);
 const exporting = new Exports(state);
 new Numbers(state);
+const marks = new Marks(state, { seek: byHand, problem: flash });
 const nextTheme = themes(() => {
   timeline.restyle();
   list.restyle();
@@ -129,6 +131,7 @@ state.watch(["window", "windows", "columns", "detail"], () => {
   box.setAttribute("aria-valuetext", known ? `${clockTime(state.timeOf(state.window))}, window ${state.window} of ${state.windows}, ${status}` : "no session");
   if (known) writeAddress(state.session, state.window);
 });
+state.watch(["detail"], () => timeline.show(state)); // bookmarks came or went
 state.watch(["polarity"], () => byId("polarity").setAttribute("aria-pressed", String(state.polarity)));
 
 // Hands --------------------------------------------------------------------------------------------------
@@ -189,6 +192,7 @@ listenToKeys({
   previousFailure: () => failures.previous(),
   nextKeyframe: () => toKeyframe(1),
   previousKeyframe: () => toKeyframe(-1),
+  bookmark: () => marks.begin(),
   filter: () => list.focusFilter(),
   ...Object.fromEntries(KINDS.map(({ kind }, i) => [`image${i + 1}`, () => enlarge(kind)])),
   polarity: togglePolarity,

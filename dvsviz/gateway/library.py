@@ -159,7 +159,7 @@ class Library:
                 for f in session.failures
             ],
             "log": [{"window": e.window, "level": e.level, "text": e.text} for e in session.log],
-            "bookmarks": [{"bookmark": b.bookmark, "window": b.window, "text": b.text} for b in session.bookmarks],
+            "bookmarks": bookmarks_of(shown),
             "tags": list(session.tags),
             "map_revisions": [
                 {"revision": m.revision, "window": m.window, "width": m.columns, "height": m.rows}
@@ -247,6 +247,12 @@ class Library:
             "has_ground_truth": session.ground_truth is not None,
             "created": header.created,
         }
+
+
+def bookmarks_of(shown: ShownSession) -> list[dict[str, Any]]:
+    """Return a session's bookmarks in the order of their windows."""
+    found = sorted(shown.session.bookmarks, key=lambda mark: mark.window)
+    return [{"bookmark": b.bookmark, "window": b.window, "text": b.text} for b in found]
 
 
 def sparkline(status: NDArray[np.uint8]) -> list[int]:

@@ -6,6 +6,7 @@ import asyncio
 import json
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,15 +20,17 @@ from starlette.websockets import WebSocket
 
 from dvsviz.errors import DvsvizError
 from dvsviz.gateway.exports import FORMATS, Exports
-from dvsviz.gateway.library import Library
+from dvsviz.gateway.library import Library, bookmarks_of
 from dvsviz.gateway.messages import pack_columns
 from dvsviz.gateway.proxy import SceneProxy
 from dvsviz.gateway.runs import Runs
 from dvsviz.gateway.security import Guard, Keys
 from dvsviz.gateway.tabs import TAKEN, Tabs
 from dvsviz.gateway.watch import Watch
+from dvsviz.session.store import add_bookmark, delete_bookmark
 from dvsviz.view.shown import ShownSession
 
+_LONGEST_NOTE = 2000
 _ACTIONS = ("pause", "resume", "cancel")
 
 
@@ -53,6 +56,7 @@ class Routes:
             "/api/sessions/{name}": (self.session, "GET"),
             "/api/sessions/{name}/columns": (self.columns, "GET"),
             "/api/sessions/{name}/export": (self.export, "POST"),
+            "/api/sessions/{name}/bookmarks": (self.bookmarks, "POST"),
             "/api/exports/{number}": (self.exported, "GET"),
             "/api/runs/{name}": (self.run, "POST"),
         }
@@ -112,6 +116,20 @@ class Routes:
                 tab.tell(message, f"export {message['id']}")
 
         return JSONResponse({"id": self._exports.start(shown, to, tell)})
+
+    async def bookmarks(self, request: Request) -> Response:
+        """Set a bookmark or take one away, in the session's file, and return those there are."""
+        shown, body = await self._shown(request), await _body(request)
+        if "delete" in body:
+            change = partial(delete_bookmark, shown.session.path, int(body["delete"]))
+        else:
+            text = str(body.get("text", "")).strip()
+            if len(text) > _LONGEST_NOTE:
+                raise ValueError(f"text: expected at most {_LONGEST_NOTE} characters")
+            change = partial(add_bookmark, shown.session.path, int(body.get("window", -1)), text)
+        await asyncio.to_thread(change)
+        await asyncio.to_thread(shown.refresh)
+        return JSONResponse({"bookmarks": bookmarks_of(shown)})
 
     async def exported(self, request: Request) -> Response:
         """Return the file of a finished export."""

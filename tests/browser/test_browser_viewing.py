@@ -182,3 +182,26 @@ def test_a_session_without_its_recording_says_so(dashboard: Dashboard) -> None:
     dashboard.run("seek(10)")
     assert "recording" in dashboard.page.locator("[data-kind=raw] .missing").inner_text()
     assert not dashboard.problems
+
+
+def test_bookmarks_are_kept_in_the_session_and_keyframes_are_jumped_to(dashboard: Dashboard) -> None:
+    dashboard.enter("barcode", 77)
+    dashboard.press("b")
+    dashboard.page.keyboard.type("the star leaves; <b>look</b>")
+    dashboard.press("Enter")
+    panel = dashboard.page.locator("#panel-marks")
+    mark = panel.get_by_role("button", name="the star leaves; <b>look</b>")
+    mark.wait_for()
+    dashboard.press("ArrowRight")  # the note gave the keys back
+    dashboard.until_shown(78)
+    dashboard.until(lambda: dashboard.page.url.endswith("window=78"), "the address bar follows")
+    dashboard.page.reload()
+    dashboard.until(lambda: dashboard.loaded() and dashboard.state["shown"] == 78, "the page is back")
+    dashboard.page.get_by_role("tab", name="Marks 1").click()
+    mark.click()
+    dashboard.until_shown(77)
+    panel.get_by_role("button", name="2.79 s").click()  # keyframe 3
+    dashboard.until_shown(93)
+    panel.get_by_role("button", name="Take away the bookmark at window 77").click()
+    panel.get_by_text("No bookmarks yet").wait_for()
+    assert not dashboard.problems
