@@ -68,7 +68,13 @@ def left_jacobian_so3(phi: ArrayLike) -> Array:
 
 def rotation_angle(rotation: ArrayLike) -> Array:
     """Return the angles (...) in rad, in [0, pi], of rotation matrices (..., 3, 3)."""
-    return np.linalg.norm(log_so3(rotation), axis=-1)
+    r = np.asarray(rotation, dtype=np.float64)
+    # atan2 of sine and cosine keeps its digits near 0 and near pi, where the arc cosine of the trace loses them.
+    sine = 0.5 * np.sqrt(
+        (r[..., 2, 1] - r[..., 1, 2]) ** 2 + (r[..., 0, 2] - r[..., 2, 0]) ** 2 + (r[..., 1, 0] - r[..., 0, 1]) ** 2
+    )
+    cosine = 0.5 * (np.trace(r, axis1=-2, axis2=-1) - 1.0)
+    return np.arctan2(sine, cosine)
 
 
 def rotation_from_quaternion(q_wxyz: ArrayLike) -> Array:

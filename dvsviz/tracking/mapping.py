@@ -11,7 +11,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dvsviz.geometry import se3
 from dvsviz.geometry.camera import Camera
 from dvsviz.geometry.plane import Plane
 from dvsviz.session.records import Failure, Keyframe, LogEntry, MapRevision, RefinedPoses, TrackerUpdates
@@ -113,14 +112,17 @@ class Mapper:
         if since_s >= c.KEYFRAME_SECONDS * max(grown, 0.2):
             return True
         limit = c.KEYFRAME_DISPLACEMENT * self.camera.width * max(grown, 0.2)
-        moved = min(self._view_change_px(trace, a) for a in anchors[-c.KEYFRAME_COMPARE :])
+        moved = float(self._view_changes_px(trace, anchors[-c.KEYFRAME_COMPARE :]).min())
         return moved > limit or (overlap < c.OVERLAP_KEYFRAME and moved > 0.3 * limit)
 
-    def _view_change_px(self, a: Trace, b: Trace) -> float:
-        """Return about how far (px) the image moved between two views."""
-        delta = se3.inverse(a.T_world_camera) @ b.T_world_camera
-        turn = float(se3.rotation_angle(delta[:3, :3]))
-        return self._focal_px * (turn + float(np.linalg.norm(delta[:3, 3])) / self.plane.distance)
+    def _view_changes_px(self, trace: Trace, others: list[Trace]) -> Array:
+        """Return about how far (px) the image moved between a view and each of others (N,)."""
+        T, Ts = trace.T_world_camera, np.stack([o.T_world_camera for o in others])
+        # The trace of R^T R' is 1 + 2 cos(angle).
+        cosine = 0.5 * (np.einsum("ij,kij->k", T[:3, :3], Ts[:, :3, :3]) - 1.0)
+        turn = np.arccos(np.clip(cosine, -1.0, 1.0))
+        shift = np.linalg.norm(Ts[:, :3, 3] - T[:3, 3], axis=1)
+        return self._focal_px * (turn + shift / self.plane.distance)
 
     def keyframe_poses(self, most: int) -> list[Array]:
         """Return at most `most` keyframe poses (4, 4), evenly spread."""
@@ -148,7 +150,7 @@ class Mapper:
     def _spread_px(self) -> float:
         """Return how far (px) the image moved between the first keyframe and the one farthest from it."""
         anchors = [t for t in self.traces if t.keyframe >= 0]
-        return max((self._view_change_px(anchors[0], a) for a in anchors), default=0.0)
+        return float(self._view_changes_px(anchors[0], anchors).max()) if anchors else 0.0
 
     def refine(self, trace: Trace) -> Trace:
         """Refine all keyframes and return the given trace re-expressed."""

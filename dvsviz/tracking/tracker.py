@@ -106,7 +106,7 @@ class Tracker:
             keyframe = self._mapper.add(trace, images.warped, overlap)
         elif self._motion.status is Status.WEAK:
             self._mapper.remember(trace)
-        if self._mapper.due() and not self._drifts:
+        if not self._drifts and self._mapper.due():
             trace = self._mapper.refine(trace)
         if self._motion.status not in (Status.LOST, Status.RELOCALIZING):
             self._motion.T_world_camera, self._motion.omega, self._motion.velocity = (
