@@ -8,6 +8,10 @@ from pathlib import Path
 import browser_samples as samples
 import pytest
 from browser_page import Dashboard
+from browser_server import served
+from playwright.sync_api import Browser
+
+from dvsviz.simulate.simulate import simulate
 
 pytestmark = pytest.mark.browser
 
@@ -52,3 +56,24 @@ def test_the_playhead_follows_a_live_session_until_it_is_moved(
     dashboard.until_shown(99)
     assert dashboard.page.locator("#live").is_hidden()
     assert not dashboard.problems
+
+
+def test_a_run_is_seen_from_its_beginning(flat_chromium: Browser, tmp_path: Path) -> None:
+    recording, sessions = tmp_path / "wall.h5", tmp_path / "sessions"
+    simulate(recording, scene="shapes", motion="handheld", seconds=1.5, seed=4)
+    context = flat_chromium.new_context(viewport={"width": 1280, "height": 800})
+    with served(sessions, tmp_path / "cache", recording) as address:
+        dashboard = Dashboard(context.new_page(), address)
+        dashboard.page.goto(address)
+        # Before there is a session: what is being done, without an older session in its place.
+        dashboard.page.get_by_role("heading", name="Starting “wall”").wait_for()
+        assert dashboard.page.locator("[data-step=now]").inner_text().startswith("Get the tracker ready")
+        assert dashboard.state["session"] == "wall"
+        dashboard.until(lambda: dashboard.state["live"] and dashboard.state["shown"] is not None, "it tracks", 120)
+        known = dashboard.state["windows"]
+        dashboard.until(lambda: dashboard.state["windows"] > known, "windows come in")
+        dashboard.until(lambda: dashboard.state["windows"] and not dashboard.state["live"], "it ends", 60)
+        dashboard.until(lambda: dashboard.state["shown"] == dashboard.state["windows"] - 1, "its end is shown")
+        assert dashboard.page.locator(".session-list a").count() == 1
+        assert not dashboard.problems
+        context.close()
