@@ -24,7 +24,9 @@ def test_the_scene_is_drawn_follows_and_has_layers(dashboard_with_scene: Dashboa
 
     def picture() -> np.ndarray:
         shot = np.frombuffer(dashboard.page.locator("#scene").screenshot(), np.uint8)
-        return cv2.imdecode(shot, cv2.IMREAD_COLOR)[5:-5, 5:-5]
+        image = cv2.imdecode(shot, cv2.IMREAD_COLOR)
+        assert image is not None
+        return image[5:-5, 5:-5]
 
     # Map rings, trajectory, frustum: far more than the flat ground of an empty canvas.
     dashboard.until(lambda: len(np.unique(picture().reshape(-1, 3), axis=0)) > 200, "something is drawn", 30)
