@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -19,7 +19,9 @@ from dvsviz.config import TrackerConfig
 from dvsviz.errors import ConfigError, EvaluationError, RunCancelled, SessionError
 from dvsviz.evaluate.evaluate import evaluate
 from dvsviz.events.recording import Recording
-from dvsviz.events.windows import windows
+from dvsviz.events.windows import EventWindow, windows
+from dvsviz.live.source import LiveEvents
+from dvsviz.live.windows import LiveWindows
 from dvsviz.session.recognise import is_session
 from dvsviz.session.records import STATUSES, LogEntry, Status, WindowResult
 from dvsviz.session.store import Session, SessionHeader, SessionWriter, open_session
@@ -144,6 +146,7 @@ class _Run:
         self._checkpoint_us = self._first_us
         self._compile_s = 0.0
         self._started = 0.0
+        self._live: LiveWindows | None = None
 
     @classmethod
     def started(cls, recording: Recording, config: TrackerConfig, out: Path, *, force: bool) -> _Run:
@@ -199,13 +202,7 @@ class _Run:
         logger = _rerun_logger(rerun, _header(self._recording, self._config))
         try:
             self._started = time.perf_counter()
-            for window in windows(
-                self._recording,
-                lambda: self._tracker.window_size,
-                max_duration_us=round(self._config.max_window_ms * 1000),
-                first_event=self._first_event,
-                index=self._writer.window_count,
-            ):
+            for window in self._windows():
                 result = self._tracker.step(window)
                 updates = self._tracker.take_updates()
                 self._writer.append(result, updates)
@@ -233,6 +230,19 @@ class _Run:
             self._writer.abandon()
             raise
 
+    def _windows(self) -> Iterable[EventWindow]:
+        limit_us = round(self._config.max_window_ms * 1000)
+        if isinstance(self._recording.events, LiveEvents):
+            self._live = LiveWindows(self._recording, lambda: self._tracker.window_size, max_duration_us=limit_us)
+            return self._live
+        return windows(
+            self._recording,
+            lambda: self._tracker.window_size,
+            max_duration_us=limit_us,
+            first_event=self._first_event,
+            index=self._writer.window_count,
+        )
+
     def end(self) -> dict[str, Any]:
         """Evaluate, close the session as complete and return the summary."""
         try:
@@ -254,6 +264,7 @@ class _Run:
                 "compile_s": self._compile_s,
                 "evaluation": evaluation,
                 **events_kept(self._recording),
+                **({} if self._live is None else {"live": self._live.summary()}),
             }
         except BaseException:
             self._writer.abandon()
@@ -278,7 +289,8 @@ def _header(recording: Recording, config: TrackerConfig) -> SessionHeader:
         recording_path=str(recording.path.absolute()),
         recording_name=recording.name,
         recording_format=recording.format,
-        events=recording.events.count,
+        # Of a stream nobody knows yet: 0 says so.
+        events=0 if isinstance(recording.events, LiveEvents) else recording.events.count,
         first_us=recording.first_us,
         last_us=recording.last_us,
         camera=recording.camera,

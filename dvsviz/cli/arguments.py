@@ -157,10 +157,15 @@ class Track(Tracking):
 
     Examples:  dvsviz track r.h5  |  dvsviz track slider_depth.zip --motion translation --json
                dvsviz track events.npz --size 240x180 --calibration calib.txt
+               dvsviz track --live aedat4+tcp://127.0.0.1:7777 --out live.h5 --record recording.h5
     """
 
-    recording: Annotated[Positional[Path], arg(metavar="RECORDING")]
+    recording: Annotated[Positional[Path | None], arg(metavar="[RECORDING]", help_behavior_hint="")] = None
     """The recording: file, folder or archive."""
+    live: Annotated[str | None, *option("aedat4+tcp://HOST:PORT|camera", str, "none")] = None
+    """Track a network stream or a connected camera instead; Ctrl-C ends the session."""
+    record: Annotated[Path | None, *option("FILE.h5", Path, "none")] = None
+    """Record the whole live stream."""
     out: Annotated[Path | None, *option("SESSION.h5", Path, "sessions/NAME.h5")] = None
     """The session to write."""
     force: Flag = False
@@ -176,6 +181,30 @@ class Track(Tracking):
         from dvsviz.cli.runs import track
 
         return track(self)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Replay(Opening):
+    """Serve a recording as a network stream, at the pace at which it was recorded.
+
+    Example:  dvsviz replay slider_depth.zip --listen 7777   and elsewhere
+              dvsviz track --live aedat4+tcp://127.0.0.1:7777 --out live.h5
+    """
+
+    recording: Annotated[Positional[Path], arg(metavar="RECORDING")]
+    """The recording: file, folder or archive."""
+    listen: Annotated[int, arg(metavar="PORT")] = 7777
+    """Port to listen at; 0 for any free one."""
+    host: str = "127.0.0.1"
+    """Address to listen at."""
+    speed: float = 1.0
+    """Recording seconds a second."""
+
+    def run(self) -> int:
+        """Serve."""
+        from dvsviz.cli.live import replay
+
+        return replay(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -295,6 +324,7 @@ COMMANDS: dict[str, tuple[Any, str]] = {
     "track": (Track, "track a recording into a session"),
     "evaluate": (Evaluate, "compare a session with the truth"),
     "export": (Export, "write a session for rerun or as a TUM trajectory"),
+    "replay": (Replay, "serve a recording as a network stream"),
     "serve": (Serve, "open the dashboard"),
     "batch": (Batch, "track several recordings and print a table"),
     "doctor": (Doctor, "say what dvsviz finds on this machine"),

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dvsviz.cli.arguments import Batch, Track, Tracking
+from dvsviz.cli.arguments import Batch, Track, Tracking, UsageError
 from dvsviz.cli.console import Interrupts, note, print_fields, print_json, read_recording, sessions_folder
 from dvsviz.config import TrackerConfig
 from dvsviz.errors import ConfigError, DvsvizError, RunCancelled, SessionError
@@ -24,6 +24,13 @@ _SHOW_EVERY_S = 0.1
 
 def track(command: Track) -> int:
     """Track one recording."""
+    if command.live is not None:
+        from dvsviz.cli.live import track_live
+
+        return track_live(command)
+    if command.recording is None or command.record is not None:
+        hint = "name a recording, or a stream with --live (and --record, if it is to be kept)"
+        raise UsageError("nothing to track" if command.recording is None else "--record is for --live", hint=hint)
     recording = read_recording(command.recording, command)
     out = command.out or sessions_folder() / f"{recording.name}.h5"
     if command.resume and command.force:
@@ -35,7 +42,7 @@ def track(command: Track) -> int:
     with Interrupts() as interrupts, _bar(out.stem, interrupts) as show:
         summary = pipeline.track(
             recording,
-            _resumed_config(command, out) if command.resume else _config(command),
+            _resumed_config(command, out) if command.resume else config_of(command),
             out,
             force=command.force,
             resume=command.resume,
@@ -46,13 +53,13 @@ def track(command: Track) -> int:
     if command.json:
         print_json(summary)
     else:
-        _print_summary(summary)
+        print_summary(summary)
     return 0
 
 
 def batch(command: Batch) -> int:
     """Track several recordings; one that fails does not stop the others."""
-    config, folder = _config(command), sessions_folder(command.sessions)
+    config, folder = config_of(command), sessions_folder(command.sessions)
     runs: list[dict[str, Any]] = []
     failed: list[dict[str, str]] = []
     taken: set[Path] = set()
@@ -83,7 +90,8 @@ def batch(command: Batch) -> int:
     return 2 if failed else 0
 
 
-def _config(command: Tracking) -> TrackerConfig:
+def config_of(command: Tracking) -> TrackerConfig:
+    """Return the tracker's settings that were said."""
     return TrackerConfig(
         motion=command.motion or "planar", window=command.window, plane_distance=command.plane_distance
     )
@@ -141,7 +149,8 @@ def _bar(name: str, interrupts: Interrupts) -> Iterator[Callable[[Progress], Non
         yield show
 
 
-def _print_summary(summary: dict[str, Any]) -> None:
+def print_summary(summary: dict[str, Any]) -> None:
+    """Print a run's summary for people."""
     print_fields(
         {
             "session": summary["session"],
@@ -154,6 +163,13 @@ def _print_summary(summary: dict[str, Any]) -> None:
             f"real-time factor {summary['real_time_factor']:.2f} (kernels compiled in {summary['compile_s']:.1f} s)",
         }
     )
+    if "live" in summary:
+        live = summary["live"]
+        print(
+            f"live: {live['used_share']:.1%} of {live['received']:,d} events used, left out {live['skips']} times, "
+            f"lag {live['lag_median_ms']:.0f} ms at the median, {live['lag_max_ms']:.0f} ms at most, "
+            f"opened again {live['reconnects']} times"
+        )
     if "events_kept_share" in summary:
         print(f"events kept by the filters: {summary['events_kept_share']:.1%}")
     if summary["evaluation"] is not None:

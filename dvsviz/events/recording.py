@@ -128,7 +128,8 @@ class Recording:
     def last_us(self) -> int:
         """Time of the last event; 0 where there is none."""
         n = self.events.count
-        return int(self.events.read(n - 1, n).t_us[0]) if n else 0
+        last = self.events.read(n - 1, n)
+        return int(last.t_us[-1]) if len(last) else 0
 
     @property
     def duration_s(self) -> float:

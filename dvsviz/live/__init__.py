@@ -1,0 +1,1 @@
+"""Streams: recordings served over the network in their own time, and cameras and streams that are tracked live."""
