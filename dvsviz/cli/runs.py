@@ -29,7 +29,7 @@ def track(command: Track) -> int:
 
         return track_live(command)
     if command.recording is None or command.record is not None:
-        hint = "name a recording, or a stream with --live (and --record, if it is to be kept)"
+        hint = "name a RECORDING, or a stream with --live (and --record, if it is to be kept)"
         raise UsageError("nothing to track" if command.recording is None else "--record is for --live", hint=hint)
     recording = read_recording(command.recording, command)
     out = command.out or sessions_folder() / f"{recording.name}.h5"
