@@ -7,6 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from evo.core import metrics as evo_metrics
+from evo.core import sync
+from evo.core.metrics import PoseRelation, Unit
+from evo.core.trajectory import PoseTrajectory3D
 
 from dvsviz.evaluate import metrics
 from dvsviz.evaluate.align import AlignmentKind, align_positions, align_rotations
@@ -15,13 +19,6 @@ from dvsviz.evaluate.evaluate import evaluate
 from dvsviz.geometry import se3
 from dvsviz.geometry.trajectory import Trajectory
 from dvsviz.geometry.tum import read_tum
-
-evo_metrics = pytest.importorskip(
-    "evo.core.metrics", reason="the evo package, a development dependency, is missing"
-)
-from evo.core import sync  # noqa: E402
-from evo.core.metrics import PoseRelation, Unit  # noqa: E402
-from evo.core.trajectory import PoseTrajectory3D  # noqa: E402
 
 CASES = {
     "fr1_xyz": ("freiburg1_xyz-groundtruth.txt", "freiburg1_xyz-rgbdslam.txt"),
