@@ -280,6 +280,12 @@ def test_without_its_recording_a_session_shows_what_is_stored(page: Page) -> Non
     assert page.http.get("/api/sessions/orphan").json()["recording_found"] is False
 
 
+def test_a_page_that_opens_a_session_is_told_how_far_it_is(page: Page) -> None:
+    page.seek("first", 0)
+    grown = page.next("grown")
+    assert (grown["session"], grown["windows"], grown["state"]) == ("first", WINDOWS, "complete")
+
+
 def test_a_growing_session_is_told(dashboard: Dashboard, folder: Path, page: Page) -> None:
     writer = create_session(folder / "sessions" / "growing.h5", folder / "r.h5", WINDOWS)
     with writer:

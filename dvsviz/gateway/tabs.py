@@ -41,6 +41,8 @@ class Tab:
         self.shown: ShownSession | None = None
         self.scene = TabScene(self._go_to)
         self.gone_s = time.monotonic()
+        # The last growth that the page was told, None where it was told nothing yet.
+        self.told: object = None
         self._library, self._cache = library, cache
         self._loop: asyncio.AbstractEventLoop | None = None
         self._renderer: Renderer | None = None
@@ -64,6 +66,7 @@ class Tab:
         self._loop, self._wake = asyncio.get_running_loop(), asyncio.Event()
         # Before the first await: from here on a second page of this name is refused.
         self._renderer = self._new_renderer()
+        self.told = None
         self.tell(hello, "sessions")
         sender: asyncio.Task[None] | None = None
         try:

@@ -9,11 +9,14 @@ from typing import Any
 
 from dvsviz.errors import DvsvizError
 from dvsviz.gateway.library import Library
-from dvsviz.gateway.tabs import Tabs
+from dvsviz.gateway.tabs import Tab, Tabs
 from dvsviz.session.records import STATUSES
 from dvsviz.view.shown import ShownSession
 
 _log = logging.getLogger(__name__)
+
+# Of an open session: how often it was replaced, its windows, its state and its run's progress.
+_Told = tuple[int, int, str, dict[str, Any]]
 
 _EVERY_S = 0.05
 _LIST_EVERY_S = 1.0
@@ -28,7 +31,7 @@ class Watch(threading.Thread):
         self.list: list[dict[str, Any]] = library.entries()
         self._library, self._tabs = library, tabs
         self._stop_now, self._look_now = threading.Event(), threading.Event()
-        self._told: dict[str, tuple[int, int, str, dict[str, Any]]] = {}
+        self._told: dict[str, _Told] = {}
         self._scene_at: dict[str, tuple[float, int]] = {}
 
     def run(self) -> None:
@@ -65,16 +68,21 @@ class Watch(threading.Thread):
         known = self._told.get(shown.name)
         grew = shown.refresh()
         if not grew and known is not None and known[2] == "complete":
-            return
-        state = self._library.state(shown.session)
-        progress = self._library.progress(shown) if state == "live" else {}
-        now = (shown.generation, shown.window_count, state, progress)
-        if known is not None and now != known:
-            self._tell_growth(shown, state, progress)
+            now = known
+        else:
+            state = self._library.state(shown.session)
+            progress = self._library.progress(shown) if state == "live" else {}
+            now = (shown.generation, shown.window_count, state, progress)
+        # By tab: one that opened the session between two looks was never told what came meanwhile.
+        behind = [tab for tab in self._tabs.all() if tab.shown is shown and tab.told != (shown.name, now)]
+        if behind:
+            self._tell_growth(shown, behind, now)
         self._told[shown.name] = now
-        self._grow_scenes(shown, ended=known is not None and state != known[2])
+        if now is not known:
+            self._grow_scenes(shown, ended=known is not None and now[2] != known[2])
 
-    def _tell_growth(self, shown: ShownSession, state: str, progress: dict[str, Any]) -> None:
+    def _tell_growth(self, shown: ShownSession, tabs: list[Tab], now: _Told) -> None:
+        _, _, state, progress = now
         statuses = shown.statuses()
         message = {
             "type": "grown",
@@ -84,9 +92,9 @@ class Watch(threading.Thread):
             "status": str(STATUSES[statuses[-1]]) if len(statuses) else None,
             "progress": progress,
         }
-        for tab in self._tabs.all():
-            if tab.shown is shown:
-                tab.tell(message, f"grown {shown.name}")
+        for tab in tabs:
+            tab.told = (shown.name, now)
+            tab.tell(message, f"grown {shown.name}")
 
     def _grow_scenes(self, shown: ShownSession, *, ended: bool) -> None:
         at, count = self._scene_at.get(shown.name, (0.0, -1))
