@@ -162,6 +162,19 @@ class Tracker:
         """True where the scene was found to be no plane: poses are odometry, without a map to come back to."""
         return self._relief is not None and bool(self._relief.not_a_plane)
 
+    def place(self, T_world_camera: Array) -> None:
+        """Start the next window from a given pose, as after a loss: weak, standing still, until the map agrees.
+
+        Args:
+            T_world_camera: pose (4, 4), world (first camera's frame, in plane distances) from camera.
+        """
+        motion = self._motion
+        motion.T_world_camera = np.array(T_world_camera, dtype=np.float64)
+        motion.omega, motion.velocity = np.zeros(3), np.zeros(3)
+        motion.bad_windows, motion.searches = 0, 0
+        if self._mapper.map is not None:
+            motion.status = Status.WEAK
+
     # --- finding the pose ----------------------------------------------------------------------------------
 
     def _trace(
