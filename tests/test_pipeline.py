@@ -236,7 +236,7 @@ from numba.core.registry import CPUDispatcher
 from dvsviz.config import TrackerConfig
 from dvsviz.formats.open import open_recording
 from dvsviz.tracking.warm_up import warm_up
-from dvsviz import pipeline
+from dvsviz.pipeline import run
 
 def compiled():
     rooms = [module for name, module in sys.modules.items() if name.startswith("dvsviz.")]
@@ -250,9 +250,9 @@ def compiled():
 
 recording = open_recording(Path(sys.argv[1]))
 warm_up(TrackerConfig())
-pipeline.warm_up = lambda config: 0.0
+run.warm_up = lambda config: 0.0
 before = compiled()
-pipeline.track(recording, TrackerConfig(), Path(sys.argv[2]))
+run.track(recording, TrackerConfig(), Path(sys.argv[2]))
 late = compiled() - before
 assert not late, late
 """

@@ -1,4 +1,4 @@
-"""Changes to a session that is not being written: bookmarks, tags, its name.
+"""Changes to a session that is not being written: bookmarks, tags, its name, its end.
 
 Each writes a new file and renames it over the old one: a kill leaves the one or the other, and readers of the old one
 go on undisturbed. A session that is being written is changed by its writer only (`SessionWriter.add_bookmark`).
@@ -61,17 +61,49 @@ def set_tags(path: Path, tags: tuple[str, ...]) -> None:
     _edit(path, lambda batch: batch.row(schema.TAGS, *batch.text(json.dumps(list(tags)))))
 
 
-def rename(path: Path, name: str) -> Path:
+def check_name(name: str) -> None:
+    """Refuse what is not the name of a session's file.
+
+    Raises:
+        SessionError: it holds a separator, begins with a dot, is too long, or is no text at all.
+    """
+    if not _NAME.fullmatch(name) or name != name.strip():
+        raise SessionError(
+            f"{name[:130]!r} cannot be a session's name", hint="use letters, digits, . _ - and blanks"
+        )
+
+
+def delete(path: Path) -> None:
+    """Delete a session's file; the recording it was made of is not touched.
+
+    Raises:
+        SessionError: it is not a session, is being written, or cannot be deleted.
+    """
+    lock = _lock(path)
+    try:
+        # Whatever else lies there is not deleted, above all no recording.
+        with open_file(path):
+            pass
+        path.unlink()
+    except OSError as error:
+        raise SessionError(f"cannot be deleted: {error.strerror}", path=path, hint="check the folder") from error
+    finally:
+        lock.release()
+
+
+def rename(path: Path, name: str, *, folder: Path | None = None) -> Path:
     """Give a session another name, its file's stem, and return its new path.
+
+    Args:
+        path: the session.
+        name: its new name.
+        folder: where it is moved to, on the same disk; it stays where it is unless said.
 
     Raises:
         SessionError: the name is not a file name or taken, the session is being written or not there.
     """
-    if not _NAME.fullmatch(name):
-        raise SessionError(
-            f"{name!r} cannot be a session's name", path=path, hint="use letters, digits, . _ - and blanks"
-        )
-    target = path.with_name(name + path.suffix)
+    check_name(name)
+    target = (folder or path.parent) / (name + path.suffix)
     lock = _lock(path)
     try:
         if target.exists():

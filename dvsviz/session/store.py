@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from dvsviz.geometry.trajectory import Trajectory
 from dvsviz.session import schema
 from dvsviz.session.cache import SessionCache
-from dvsviz.session.edits import add_bookmark, delete_bookmark, rename, set_tags
-from dvsviz.session.header import SessionHeader
+from dvsviz.session.edits import add_bookmark, check_name, delete, delete_bookmark, rename, set_tags
+from dvsviz.session.header import Origin, SessionHeader
 from dvsviz.session.lock import has_writer
 from dvsviz.session.packing import decode_png, unpack_state
 from dvsviz.session.reading import damaged
@@ -23,12 +23,15 @@ from dvsviz.session.writer import SessionWriter
 
 __all__ = [
     "Bookmark",
+    "Origin",
     "Session",
     "SessionHeader",
     "SessionWriter",
     "StoredKeyframe",
     "StoredMapRevision",
     "add_bookmark",
+    "check_name",
+    "delete",
     "delete_bookmark",
     "open_session",
     "rename",

@@ -125,6 +125,43 @@ class SessionWriter:
         writer._poses = poses
         return writer
 
+    @classmethod
+    def branch(cls, source: Path, path: Path, header: SessionHeader, *, windows: int) -> Self:
+        """Return the writer of a new session that begins with the first windows of another one.
+
+        What was stored with these windows is copied; bookmarks and tags are not: they belong to the other session.
+
+        Args:
+            source: the session that is copied from; it may be growing.
+            path: the new session.
+            header: of the new session.
+            windows: how many are copied.
+
+        Raises:
+            SessionError: the new session exists, or one of the two cannot be read or written.
+        """
+        if path.exists():
+            raise SessionError("already exists", path=path, hint="choose another name")
+        partial = partial_name(path)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with open_file(source) as file_before:
+                counts = cut(file_before, read_committed(file_before, source), windows)
+                counts |= dict.fromkeys((schema.BOOKMARKS.name, schema.TAGS.name, schema.SUMMARIES.name), 0)
+                file = create_file(partial, lambda f: write_header(f, header), Commit())
+                copy_rows(file_before, file, counts)
+                poses = _current_poses(file_before, counts)
+            commit = Commit(sequence=1, counts=counts)
+            write_commit(file, commit)
+            lock = WriterLock(partial)
+            partial.replace(path)
+        except OSError as error:
+            partial.unlink(missing_ok=True)
+            raise _unwritable(path, error) from error
+        writer = cls(path, file, lock, commit)
+        writer._poses = poses
+        return writer
+
     @property
     def window_count(self) -> int:
         """Windows appended so far."""

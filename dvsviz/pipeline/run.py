@@ -1,4 +1,4 @@
-"""The composition root: a recording is tracked, and what comes out is appended to a session."""
+"""One run: windows go to the tracker, results to the session; it is watched, stopped and continued."""
 
 from __future__ import annotations
 
@@ -11,19 +11,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import cv2
-import numpy as np
-from numpy.typing import NDArray
 
 from dvsviz import __version__
 from dvsviz.config import TrackerConfig
-from dvsviz.errors import ConfigError, EvaluationError, RunCancelled, SessionError
-from dvsviz.evaluate.evaluate import evaluate
+from dvsviz.errors import ConfigError, RunCancelled, SessionError
+from dvsviz.events.part import EventsUntil
 from dvsviz.events.recording import Recording
 from dvsviz.events.windows import EventWindow, windows
 from dvsviz.live.source import LiveEvents
 from dvsviz.live.windows import LiveWindows
+from dvsviz.pipeline.summary import evaluation_of, events_kept, summarize
 from dvsviz.session.recognise import is_session
-from dvsviz.session.records import STATUSES, LogEntry, Status, WindowResult
+from dvsviz.session.records import LogEntry, Status, WindowResult
 from dvsviz.session.store import Session, SessionHeader, SessionWriter, open_session
 from dvsviz.tracking.tracker import Tracker
 from dvsviz.tracking.warm_up import warm_up
@@ -66,6 +65,8 @@ def track(
     progress: Callable[[Progress], None] | None = None,
     cancel: threading.Event | None = None,
     rerun: Path | None = None,
+    start_s: float | None = None,
+    end_s: float | None = None,
 ) -> dict[str, Any]:
     """Track a recording into a session and return the run's summary, the object of `dvsviz track --json`.
 
@@ -78,11 +79,13 @@ def track(
         progress: called after each window, in the thread that tracks; it may wait (to pause) but not raise.
         cancel: when set, the run stops after the current window and leaves an incomplete session.
         rerun: a rerun recording that is written besides.
+        start_s: where to begin, seconds from the first event; a resumed session keeps its own.
+        end_s: where to end, seconds from the first event; a resumed session keeps its own.
 
     Raises:
         RunCancelled: `cancel` was set; what was tracked is in the session.
         SessionError: the session exists, cannot be written, or is not one of this recording.
-        ConfigError: `config` differs from the session that is resumed.
+        ConfigError: `config` differs from the session that is resumed; no events between start and end.
         FormatError: the recording turned out to be damaged.
     """
     # Blurs of a sensor's size: OpenCV's threads cost more than they save, and the other core belongs to the viewer.
@@ -91,71 +94,68 @@ def track(
         raise SessionError("no events to track", path=recording.path, hint="check the recording with `dvsviz info`")
     _check_target(recording, out, force=force)
     if resume:
-        run = _Run.resumed(recording, config, out)
+        run = Run.resumed(recording, config, out)
     else:
-        run = _Run.started(recording, config or TrackerConfig(), out, force=force)
+        part = _part(recording, start_s, end_s)
+        run = Run.started(recording, config or TrackerConfig(), out, force=force, part=part)
     run.follow(progress, cancel, rerun)
     return run.end()
 
 
-def summarize(status: NDArray[np.uint8]) -> dict[str, Any]:
-    """Return `windows`, `tracked_share` and `losses` of windows' statuses (N,), indices into `records.STATUSES`.
-
-    The share is of all windows after initialization, tracking or weak; a loss is a window that is lost or
-    relocalizing after one that was neither.
-    """
-
-    def among(*names: Status) -> NDArray[np.bool_]:
-        return np.isin(status, [STATUSES.index(name) for name in names])
-
-    after = ~among(Status.INITIALIZING)
-    lost = among(Status.LOST, Status.RELOCALIZING)
-    began = lost & ~np.concatenate([[False], lost[:-1]]) if len(lost) else lost
-    share = float(among(Status.TRACKING, Status.WEAK)[after].mean()) if after.any() else 0.0
-    return {"windows": len(status), "tracked_share": share, "losses": int(began.sum())}
-
-
-def events_kept(recording: Recording) -> dict[str, Any]:
-    """Return `filters` and `events_kept_share` of a recording whose events were filtered, else nothing."""
-    if recording.filters is None or recording.events_before_filters is None:
-        return {}
-    share = recording.events.count / max(1, recording.events_before_filters)
-    return {"filters": asdict(recording.filters), "events_kept_share": share}
-
-
-def evaluation_of(session: Session) -> dict[str, Any] | None:
-    """Return the session's evaluation, or None without ground truth or where too little of it was tracked."""
-    if session.ground_truth is None:
-        return None
-    try:
-        return evaluate(session).to_dict()
-    except EvaluationError:  # every window lost, or a truth of another time: there is no figure to give
-        return None
-
-
-class _Run:
+class Run:
     """One run: the tracker, the writer, the clock."""
 
     def __init__(
-        self, recording: Recording, config: TrackerConfig, writer: SessionWriter, tracker: Tracker, first_event: int
+        self,
+        recording: Recording,
+        header: SessionHeader,
+        writer: SessionWriter,
+        tracker: Tracker,
+        first_event: int,
+        *,
+        compile_s: float = 0.0,
     ) -> None:
-        self._recording, self._config, self._writer, self._tracker = recording, config, writer, tracker
+        """Begin a run whose tracker and writer stand before one event.
+
+        Args:
+            recording: what is tracked, whole, with the camera of the header.
+            header: of the session.
+            writer: of the session.
+            tracker: knows what came before `first_event`.
+            first_event: where to go on.
+            compile_s: seconds that getting ready took.
+        """
+        self._recording, self._header, self._writer, self._tracker = recording, header, writer, tracker
+        self._config = tracker.config
         self._first_event, self._end_event = first_event, first_event
+        self._part = part_events(recording, header)
+        self._last_event = recording.events.count if self._part[1] is None else self._part[1]
+        first_event = min(first_event, max(0, recording.events.count - 1))
         self._first_us = int(recording.events.read(first_event, first_event + 1).t_us[0])
         self._last_us = self._first_us
         self._checkpoint_us = self._first_us
-        self._compile_s = 0.0
+        self._compile_s = compile_s
         self._started = 0.0
         self._live: LiveWindows | None = None
 
     @classmethod
-    def started(cls, recording: Recording, config: TrackerConfig, out: Path, *, force: bool) -> _Run:
-        """Return a run from the recording's first event."""
+    def started(
+        cls,
+        recording: Recording,
+        config: TrackerConfig,
+        out: Path,
+        *,
+        force: bool,
+        part: tuple[int | None, int | None] = (None, None),
+    ) -> Run:
+        """Return a run from the recording's first event, or of a part of it (first and last time, us)."""
         compile_s = warm_up(config)
-        writer = SessionWriter.create(out, _header(recording, config), force=force)
-        run = cls(recording, config, writer, Tracker(recording.camera, config), 0)
-        run._compile_s = compile_s
+        header = replace(header_of(recording, config), start_us=part[0], end_us=part[1])
+        first_event = part_events(recording, header)[0]
+        writer = SessionWriter.create(out, header, force=force)
         try:
+            tracker = Tracker(recording.camera, config)
+            run = cls(recording, header, writer, tracker, first_event, compile_s=compile_s)
             if recording.ground_truth is not None and len(recording.ground_truth):
                 writer.set_ground_truth(recording.ground_truth)
             for warning in recording.warnings:
@@ -166,10 +166,10 @@ class _Run:
         return run
 
     @classmethod
-    def resumed(cls, recording: Recording, config: TrackerConfig | None, out: Path) -> _Run:
+    def resumed(cls, recording: Recording, config: TrackerConfig | None, out: Path) -> Run:
         """Return a run that continues after the last checkpoint of a session."""
         with open_session(out) as session:
-            _check_same(recording, session)
+            check_same(recording, session)
             header = session.header
             stored = TrackerConfig.from_json(header.config_json)
             if config not in (None, TrackerConfig(), stored):
@@ -180,26 +180,23 @@ class _Run:
             # The calibration of the first part holds for the rest.
             recording = replace(recording, camera=header.camera)
             found = session.checkpoint_at(session.window_count - 1)
-            first_event = session.result(found[0]).end_event if found else 0
+            first_event = session.result(found[0]).end_event if found else part_events(recording, header)[0]
         compile_s = warm_up(stored)
         writer = SessionWriter.resume(out, windows=found[0] + 1 if found else 0)
         try:
             tracker = Tracker(recording.camera, stored)
             if found:
                 tracker = Tracker.restore(recording.camera, stored, found[1], recording.events)
-            run = cls(recording, stored, writer, tracker, min(first_event, recording.events.count - 1))
+            return cls(recording, header, writer, tracker, first_event, compile_s=compile_s)
         except BaseException:
             writer.abandon()
             raise
-        run._compile_s = compile_s
-        run._first_event = run._end_event = first_event
-        return run
 
     def follow(
         self, progress: Callable[[Progress], None] | None, cancel: threading.Event | None, rerun: Path | None
     ) -> None:
         """Track to the recording's end; whatever ends it before leaves the session incomplete and readable."""
-        logger = _rerun_logger(rerun, _header(self._recording, self._config))
+        logger = _rerun_logger(rerun, self._header)
         try:
             self._started = time.perf_counter()
             for window in self._windows():
@@ -236,7 +233,7 @@ class _Run:
             self._live = LiveWindows(self._recording, lambda: self._tracker.window_size, max_duration_us=limit_us)
             return self._live
         return windows(
-            self._recording,
+            until(self._recording, self._part[1]),
             lambda: self._tracker.window_size,
             max_duration_us=limit_us,
             first_event=self._first_event,
@@ -277,14 +274,15 @@ class _Run:
         return Progress(
             window=result.window,
             status=result.status,
-            share=result.end_event / self._recording.events.count,
+            share=(result.end_event - self._part[0]) / max(1, self._last_event - self._part[0]),
             events_per_second=(result.end_event - self._first_event) / wall_s,
             real_time_factor=(result.end_us - self._first_us) * 1e-6 / wall_s,
             recording_s=(result.end_us - self._recording.first_us) * 1e-6,
         )
 
 
-def _header(recording: Recording, config: TrackerConfig) -> SessionHeader:
+def header_of(recording: Recording, config: TrackerConfig) -> SessionHeader:
+    """Return the header of a session that is tracked with these settings."""
     return SessionHeader(
         recording_path=str(recording.path.absolute()),
         recording_name=recording.name,
@@ -323,14 +321,43 @@ def _check_target(recording: Recording, out: Path, *, force: bool) -> None:
         raise SessionError("is not a session and is not replaced", path=out, hint="name another file with --out")
 
 
-def _check_same(recording: Recording, session: Session) -> None:
+def part_events(recording: Recording, header: SessionHeader) -> tuple[int, int | None]:
+    """Return the first event that is tracked and the one after the last, None where the recording ends."""
+    first = 0 if header.start_us is None else recording.events.index_at(header.start_us)
+    return first, None if header.end_us is None else recording.events.index_at(header.end_us)
+
+
+def until(recording: Recording, end_event: int | None) -> Recording:
+    """Return a recording that ends before an event; None leaves it whole."""
+    return recording if end_event is None else replace(recording, events=EventsUntil(recording.events, end_event))
+
+
+def _part(recording: Recording, start_s: float | None, end_s: float | None) -> tuple[int | None, int | None]:
+    """Return start and end of what is tracked in the recording's own time, us."""
+    if start_s is None and end_s is None:
+        return None, None
+    start, end = ((None if s is None else recording.first_us + round(s * 1e6)) for s in (start_s, end_s))
+    first = 0 if start is None else recording.events.index_at(start)
+    last = recording.events.count if end is None else recording.events.index_at(end)
+    if (start_s or 0.0) < 0 or last <= first:
+        words = f"{start_s or 0:g} s to {recording.duration_s if end_s is None else end_s:g} s"
+        raise ConfigError(f"no events from {words}", hint=f"the recording lasts {recording.duration_s:.3f} s")
+    return start, end
+
+
+def check_same(recording: Recording, session: Session) -> None:
+    """Refuse a recording that is not the one of a session.
+
+    Raises:
+        SessionError: number of events or times differ.
+    """
     header = session.header
     found = (recording.events.count, recording.first_us, recording.last_us)
     if found != (header.events, header.first_us, header.last_us):
         raise SessionError(
             f"is a session of {header.recording_path} with {header.events} events, not of {recording.path}",
             path=session.path,
-            hint="resume it with its own recording",
+            hint="use its own recording",
         )
 
 
