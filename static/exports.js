@@ -2,30 +2,9 @@
 
 import { exportAddress, startExport } from "./api.js";
 import { byId, make, setText } from "./dom.js";
+import { popover } from "./popover.js";
 
 const NAMES = { rrd: "Rerun recording", tum: "TUM trajectory", csv: "figures", png: "map" };
-
-/** Opens and closes a button's popover; Escape and a click elsewhere close it. */
-export function popover(button, panel) {
-  const show = (open) => {
-    panel.hidden = !open;
-    button.setAttribute("aria-expanded", String(open));
-  };
-  button.addEventListener("click", () => {
-    show(panel.hidden);
-    if (!panel.hidden) panel.querySelector("button:not(:disabled)")?.focus();
-  });
-  document.addEventListener("pointerdown", ({ target }) => {
-    if (!panel.hidden && !panel.contains(target) && !button.contains(target)) show(false);
-  });
-  panel.addEventListener("keydown", (event) => {
-    if (event.key !== "Escape") return;
-    event.stopPropagation();
-    show(false);
-    button.focus();
-  });
-  return show;
-}
 
 export class Exports {
   #rows = new Map();

@@ -1,20 +1,27 @@
 // The images of a window: decoded in a worker, only the latest painted, sharp to the pixel.
 
 import { byId, make, setText } from "./dom.js";
-import { fixed, whole } from "./format.js";
+import { fixed, percent, whole } from "./format.js";
 
+/** What can be shown of a window, in the order in which it stands on the page. */
 export const KINDS = [
   { kind: "raw", name: "raw", title: "The window's events as they were recorded, undistorted", note: (v) => `${whole(v.events)} events` },
-  { kind: "warped", name: "warped", title: "The same events moved back along the estimated velocity: sharp where it is right", note: (v) => `contrast ×${fixed(v.contrast_after / v.contrast_before)}` },
-  { kind: "map", name: "on map", title: "The warped window on the newest map seen from its refined pose: edges that the map explains, and those that it does not", note: () => "" },
+  { kind: "warped", name: "warped", title: "The same events moved back along the estimated motion: sharp where it is right", note: (v) => `×${fixed(v.contrast_after / v.contrast_before)}` },
+  { kind: "map", name: "on map", title: "The warped window on the newest map seen from its refined pose: edges that the map explains, and those that it does not", note: () => "", edges: true },
+  { kind: "residual", name: "residual", title: "The window on the map of that moment, from the pose of that moment: what the map explains is dim, what is left over is bright", note: (v) => (Number.isFinite(v.overlap) ? `${percent(v.overlap)} explained` : ""), edges: true },
+  { kind: "truth", name: "true motion", title: "The events moved back along the ground-truth motion: where this is sharper than “warped”, the estimated motion is wrong", note: () => "", truth: true },
+  { kind: "aligned", name: "true pose on map", title: "The window on the newest map seen from the ground-truth pose, aligned: where this fits better than “on map”, the estimated pose is wrong; where it does not, the map is", note: () => "", edges: true, truth: true },
   { kind: "texture", name: "texture", title: "The map as it was at this window", note: () => "" },
 ];
+const FIRST_CHOICE = ["raw", "warped", "map", "texture"];
 
 /** Why an image is missing; the note is said once, under raw. */
-function why(kind, note) {
+function why({ kind, edges, truth }, values) {
+  const note = values?.note;
   if (kind === "raw") return note || "no events";
   if (kind === "warped") return note ? "stored for keyframes only" : "no events";
-  return note && kind === "map" ? "needs the events" : "no map yet";
+  if (truth && !note) return values?.truth ? "no map yet" : "no ground truth here";
+  return note && (edges || truth) ? "needs the events" : "no map yet";
 }
 
 export class Images {
@@ -29,33 +36,78 @@ export class Images {
     this.shown = shown;
     this.large = null;
     this.#worker.onmessage = ({ data }) => this.#decoded(data);
-    byId("images").replaceChildren(...KINDS.map((kind, i) => this.#cell(kind, i)));
-    new ResizeObserver(() => this.#fit()).observe(byId("images"));
+    for (const kind of KINDS) this.#cell(kind);
+    this.choose(FIRST_CHOICE);
+    new ResizeObserver(() => {
+      this.#rows();
+      this.#fit();
+    }).observe(byId("images").parentElement);
   }
 
-  #cell({ kind, name, title }, i) {
+  /** Shows these kinds (at least one), each at its place; they are drawn with the next answer. */
+  choose(kinds) {
+    const known = KINDS.map(({ kind }) => kind).filter((kind) => kinds.includes(kind));
+    this.kinds = known.length ? known : FIRST_CHOICE;
+    if (this.large !== null && !this.kinds.includes(this.large)) this.large = null;
+    const place = byId("images");
+    place.replaceChildren(...this.kinds.map((kind) => this.#cells.get(kind).figure));
+    place.dataset.large = this.large ?? "";
+    this.kinds.forEach((kind, i) => {
+      const { figure } = this.#cells.get(kind);
+      figure.title = `${figure.dataset.about} (${i + 1}: enlarge)`;
+      figure.hidden = this.large !== null && this.large !== kind;
+    });
+    this.#rows();
+    this.#fit();
+  }
+
+  /** The kinds that are on the screen now. */
+  get asked() {
+    return this.large ? [this.large] : this.kinds;
+  }
+
+  /** As many columns as make the pictures largest in what bars, captions and numbers leave. */
+  #rows() {
+    const place = byId("images");
+    const count = this.asked.length;
+    const font = parseFloat(getComputedStyle(document.documentElement).fontSize);
+    const style = getComputedStyle(place);
+    const aspect = this.aspect ?? 4 / 3;
+    const tall = place.parentElement.clientHeight - (4.4 + parseFloat(style.getPropertyValue("--panel-least"))) * font;
+    const size = (columns) => {
+      const wide = (place.clientWidth - 1.2 * font) / columns - 0.5 * font;
+      return Math.min(wide, Math.max(5.5 * font, tall / Math.ceil(count / columns) - 1.7 * font) * aspect);
+    };
+    let columns = 1;
+    for (let more = 2; more <= Math.min(count, 4); more++) if (size(more) >= size(columns) - 1) columns = more; // of equal ones that with fewer rows
+    place.style.setProperty("--columns", String(columns));
+    place.style.setProperty("--rows", String(Math.ceil(count / columns)));
+  }
+
+  #cell({ kind, name, title, edges }) {
     const canvas = make("canvas", { width: 4, height: 3, role: "img", "aria-label": `${name}: ${title}` });
     const note = make("span", { class: "dim number" });
     const missing = make("span", { class: "missing dim" });
-    const legend = kind === "map" ? make("span", { class: "edge-legend" }, make("i", { class: "explained" }), "explained", make("i", { class: "unexplained" }), "new") : null;
+    const legend = edges ? make("span", { class: "edge-legend" }, make("i", { class: "explained", title: "explained by the map" }), kind === "map" ? make("span", {}, "explained") : null, make("i", { class: "unexplained", title: "not explained by the map" }), kind === "map" ? make("span", {}, "not") : null) : null;
     const figure = make(
       "button",
-      { class: "cell", dataset: { kind }, "aria-pressed": "false", title: `${title} (${i + 1}: enlarge)`, on: { click: () => this.enlarge(kind) } },
+      { class: "cell", dataset: { kind, about: title }, "aria-pressed": "false", on: { click: () => this.enlarge(kind) } },
       make("span", { class: "caption" }, make("b", {}, name), legend, make("span", { class: "spring" }), note),
       make("span", { class: "picture" }, canvas, missing),
     );
     this.#cells.set(kind, { figure, canvas, note, missing, pen: canvas.getContext("2d") });
-    return figure;
   }
 
-  /** One image over the whole place, or all four again. */
+  /** One image over the whole place, or all again. */
   enlarge(kind) {
+    if (!this.kinds.includes(kind)) return;
     this.large = this.large === kind ? null : kind;
     byId("images").dataset.large = this.large ?? "";
     for (const [name, { figure }] of this.#cells) {
       figure.hidden = this.large !== null && this.large !== name;
       figure.setAttribute("aria-pressed", String(this.large === name));
     }
+    this.#rows();
     this.#fit();
   }
 
@@ -105,19 +157,24 @@ export class Images {
   }
 
   #paint({ images, values, window }, bitmaps) {
-    for (const { kind, name, note } of KINDS) {
-      if (this.large !== null && this.large !== kind) continue;
+    for (const described of KINDS) {
+      const { kind, name, note } = described;
+      if (!this.asked.includes(kind)) continue;
       const cell = this.#cells.get(kind);
       const i = images.findIndex((image) => image.kind === kind);
       setText(cell.note, values ? note(values) : "");
       if (i < 0) {
-        this.#blank(cell, why(kind, values?.note));
+        this.#blank(cell, why(described, values));
         continue;
       }
       const { width, height } = bitmaps[i];
       if (cell.canvas.width !== width || cell.canvas.height !== height) {
         [cell.canvas.width, cell.canvas.height] = [width, height];
-        if (kind === "raw") byId("images").style.setProperty("--aspect", `${width} / ${height}`);
+        if (kind !== "texture") {
+          this.aspect = width / height;
+          byId("images").style.setProperty("--aspect", `${width} / ${height}`);
+          this.#rows();
+        }
         this.#fit(cell);
       }
       cell.pen.drawImage(bitmaps[i], 0, 0);

@@ -7,6 +7,7 @@ import { closeDoor, showBanner, showDoor, showEmpty } from "./door.js";
 import { Exports } from "./exports.js";
 import { Failures } from "./failures.js";
 import { amount, clockTime, duration } from "./format.js";
+import { ImageBar } from "./imagebar.js";
 import { Images, KINDS } from "./images.js";
 import { listenToKeys, toggleHelp } from "./keys.js";
 import { liveStrip } from "./live.js";
@@ -41,6 +42,7 @@ const failures = new Failures(state, byHand);
 const list = new Sessions(state);
 const exporting = new Exports(state);
 new Numbers(state);
+const imageBar = new ImageBar(state, images, () => viewing.ask());
 const marks = new Marks(state, { seek: byHand, problem: flash });
 const nextTheme = themes(() => {
   timeline.restyle();
@@ -194,7 +196,11 @@ listenToKeys({
   previousKeyframe: () => toKeyframe(-1),
   bookmark: () => marks.begin(),
   filter: () => list.focusFilter(),
-  ...Object.fromEntries(KINDS.map(({ kind }, i) => [`image${i + 1}`, () => enlarge(kind)])),
+  ...Object.fromEntries(KINDS.map((_, i) => [`image${i + 1}`, () => images.kinds[i] && enlarge(images.kinds[i])])),
+  kinds: () => imageBar.toggle(),
+  gatherLess: () => imageBar.gather(-1),
+  gatherMore: () => imageBar.gather(1),
+  onlyEvents: () => imageBar.nextEvents(),
   polarity: togglePolarity,
   zoomIn: () => zoomAt(0.5),
   zoomOut: () => zoomAt(2),

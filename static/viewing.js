@@ -4,7 +4,6 @@ import * as api from "./api.js";
 import { Columns } from "./columns.js";
 import { showEmpty } from "./door.js";
 import { isWaiting, waitingWords } from "./waiting.js";
-import { KINDS } from "./images.js";
 import { STATES } from "./status.js";
 
 const BETWEEN_FETCHES_MS = 200;
@@ -105,8 +104,7 @@ export class Viewing {
   ask() {
     const { state, images } = this;
     if (!state.windows) return;
-    const kinds = images.large ? [images.large] : KINDS.map(({ kind }) => kind);
-    this.seeker.want(state.session, state.window, kinds, { polarity: state.polarity, scale: 1 });
+    this.seeker.want(state.session, state.window, images.asked, { polarity: state.polarity, scale: 1, ...state.drawn });
   }
 
   /** Images of a window are on the screen. */

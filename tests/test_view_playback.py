@@ -15,9 +15,9 @@ from dvsviz.session.records import MapRevision
 from dvsviz.session.store import open_session
 from dvsviz.view import geometry3d
 from dvsviz.view.cache import EncodedImage, ImageCache
-from dvsviz.view.images import ImageOptions
+from dvsviz.view.images import ImageKind, ImageOptions
 from dvsviz.view.playback import Drawn, Mailbox, Renderer, Seek
-from dvsviz.view.shown import ImageKind, ShownSession, weak_words
+from dvsviz.view.shown import ShownSession, weak_words
 
 
 def image(size: int) -> EncodedImage:

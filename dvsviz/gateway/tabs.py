@@ -17,10 +17,11 @@ from dvsviz.errors import DvsvizError
 from dvsviz.gateway.library import Library
 from dvsviz.gateway.messages import pack_images
 from dvsviz.view.cache import ImageCache
-from dvsviz.view.images import ImageOptions
+from dvsviz.view.images import LONGEST_MS, MOST_WINDOWS, ImageKind, ImageOptions
+from dvsviz.view.moving import Polarities
 from dvsviz.view.playback import Drawn, Renderer, Seek
 from dvsviz.view.scene import TabScene
-from dvsviz.view.shown import ImageKind, ShownSession
+from dvsviz.view.shown import ShownSession
 
 _log = logging.getLogger(__name__)
 
@@ -148,6 +149,9 @@ class Tab:
             options=ImageOptions(
                 polarity=options.get("polarity", True) is True,
                 scale=min(max(1, int(options.get("scale", 1))), 4),
+                windows=min(max(1, int(options.get("windows", 1))), MOST_WINDOWS),
+                ms=min(max(0.0, float(options.get("ms", 0))), LONGEST_MS),
+                events=Polarities(options.get("events", "both")),
             ),
         )
         if not self._renderer.is_alive():

@@ -7,18 +7,21 @@ events are repeated instead, because one event is one pixel.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from functools import lru_cache
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dvsviz.contrast.iwe import image_of_warped_events, vote
+from dvsviz.contrast.iwe import vote
 from dvsviz.events.windows import EventWindow
 from dvsviz.geometry.camera import Camera
 from dvsviz.geometry.plane import Plane, homography_map_camera
-from dvsviz.session.records import MapRevision, WindowResult
+from dvsviz.session.records import MapRevision
+from dvsviz.view.moving import MovingWindow, Polarities, votes_of
 from dvsviz.view.picture import Picture
 
 Bytes = NDArray[np.uint8]
@@ -37,6 +40,24 @@ MAP = (128, 138, 150)
 # A map pixel is an edge from this occurrence (of 255) on; an edge within this many map pixels explains an event.
 EDGE_LEVEL = 48
 EDGE_REACH_PX = 1
+# In the picture of what is left over, explained edges are this bright.
+_DIMMED = 0.6
+
+
+MOST_WINDOWS = 64
+LONGEST_MS = 1000.0
+
+
+class ImageKind(StrEnum):
+    """What can be drawn of a window."""
+
+    RAW = "raw"
+    WARPED = "warped"
+    MAP = "map"
+    TEXTURE = "texture"
+    RESIDUAL = "residual"
+    TRUTH = "truth"
+    ALIGNED = "aligned"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,14 +67,29 @@ class ImageOptions:
     Attributes:
         polarity: on and off events in two colours.
         scale: pixels of the image per sensor pixel, 1 to 4.
+        windows: how many windows, from the shown one on, are laid on each other.
+        ms: milliseconds from the window's start instead; 0 for whole windows.
+        events: which polarities are drawn.
     """
 
     polarity: bool = True
     scale: int = 1
+    windows: int = 1
+    ms: float = 0.0
+    events: Polarities = Polarities.BOTH
 
     def __post_init__(self) -> None:
         if not 1 <= self.scale <= 4:
             raise ValueError(f"scale: expected 1 to 4, got {self.scale}")
+        if not 1 <= self.windows <= MOST_WINDOWS:
+            raise ValueError(f"windows: expected 1 to {MOST_WINDOWS}, got {self.windows}")
+        if not 0 <= self.ms <= LONGEST_MS:
+            raise ValueError(f"ms: expected 0 to {LONGEST_MS:g}, got {self.ms}")
+
+    @property
+    def wanted(self) -> tuple[bool, bool]:
+        """Whether on and off events are drawn."""
+        return self.events is not Polarities.OFF, self.events is not Polarities.ON
 
 
 def scaled_camera(camera: Camera, scale: int) -> Camera:
@@ -70,53 +106,78 @@ def scaled_camera(camera: Camera, scale: int) -> Camera:
     )
 
 
-def raw_picture(window: EventWindow, camera: Camera, options: ImageOptions) -> Picture:
+def raw_picture(windows: Sequence[EventWindow], camera: Camera, options: ImageOptions) -> Picture:
     """Return the events as recorded, each at its nearest undistorted pixel."""
-    points = _nearest_pixels(camera)[window.events.y_px, window.events.x_px]
-    positive = window.events.is_positive
-    on, off = (_counted(points[m], camera) for m in (positive, ~positive))
-    picture = _two_colours(on, off, options)
+    pixels = _nearest_pixels(camera)
+    drawn: list[Bytes] = []
+    for sign, wanted in zip((True, False), options.wanted, strict=True):
+        chosen = [w.events.is_positive == sign for w in windows] if wanted else []
+        points = [
+            pixels[w.events.y_px[m], w.events.x_px[m]]
+            for w, m in zip(windows if wanted else (), chosen, strict=True)
+        ]
+        drawn.append(_counted(np.concatenate(points) if points else np.zeros((0, 2), np.float32), camera))
+    picture = _two_colours(drawn[0], drawn[1], options)
     if options.scale == 1:
         return picture
     return Picture(pixels=picture.pixels.repeat(options.scale, 0).repeat(options.scale, 1), palette=picture.palette)
 
 
-def warped_picture(window: EventWindow, result: WindowResult, camera: Camera, options: ImageOptions) -> Picture:
-    """Return the window's events warped to its start at the estimated velocity."""
+def warped_picture(
+    moving: Sequence[MovingWindow],
+    T_world_camera: NDArray[np.float64],
+    plane_world: Plane,
+    camera: Camera,
+    options: ImageOptions,
+) -> Picture:
+    """Return the windows' events moved back by their motions into the camera at a pose.
+
+    Args:
+        moving: windows with their motions.
+        T_world_camera: pose (4, 4) that is looked from.
+        plane_world: where the events come from.
+        camera: of the session.
+        options: how it is drawn.
+    """
     if not options.polarity:
-        votes = _warped(window, result, camera, options, None)
+        votes = _votes(moving, T_world_camera, plane_world, camera, options)
         return Picture(pixels=_tone(votes, _peak(votes)), palette=_ramp(NEUTRAL))
-    positive = window.events.is_positive
-    on = _warped(window, result, camera, options, positive)
-    off = _warped(window, result, camera, options, ~positive)
+    grid = scaled_camera(camera, options.scale)
+    on, off = (
+        votes_of(moving if wanted else (), T_world_camera, plane_world, grid, positive=sign)
+        for sign, wanted in zip((True, False), options.wanted, strict=True)
+    )
     peak = _peak(on + off)
     return _two_colours(_tone(on, peak), _tone(off, peak), options)
 
 
 def overlay_picture(
-    window: EventWindow,
-    result: WindowResult,
-    map_revision: MapRevision | None,
+    moving: Sequence[MovingWindow],
     T_world_camera: NDArray[np.float64],
+    map_revision: MapRevision | None,
     camera: Camera,
     options: ImageOptions,
+    *,
+    with_map: bool = True,
 ) -> Picture:
-    """Return the warped window on the map as seen from its pose.
+    """Return the warped windows on the map as seen from a pose.
 
     Edges that the map has are drawn in `EXPLAINED`, others in `UNEXPLAINED`, the map itself in grey.
     Without a map every edge is unexplained.
 
     Args:
-        window: its events.
-        result: its velocity.
+        moving: windows with their motions.
+        T_world_camera: pose (4, 4) that is looked from, in the world in which that map holds.
         map_revision: a map, or None.
-        T_world_camera: the window's pose (4, 4) as it is known when that map holds.
         camera: of the session.
         options: how it is drawn.
+        with_map: False leaves the map away and dims what it explains: what is left over stands out.
     """
-    if map_revision is not None:
-        result = replace(result, T_world_camera=T_world_camera, normal_world=map_revision.normal_world)
-    votes = _warped(window, result, camera, options, None)
+    if map_revision is None:
+        plane = Plane(normal=np.array([0.0, 0.0, -1.0]))
+    else:
+        plane = Plane(normal=map_revision.normal_world, distance=map_revision.distance)
+    votes = _votes(moving, T_world_camera, plane, camera, options)
     level = _tone(votes, _peak(votes)) // 3  # three ramps of 85 colours share the palette
     palette = _three_ramps(UNEXPLAINED, EXPLAINED, MAP)
     if map_revision is None:
@@ -124,6 +185,9 @@ def overlay_picture(
     seen = map_seen_from(map_revision, T_world_camera, scaled_camera(camera, options.scale))
     reach = 2 * EDGE_REACH_PX * options.scale + 1
     explained = cv2.dilate(seen, np.ones((reach, reach), np.uint8)) >= EDGE_LEVEL
+    if not with_map:
+        pixels = np.where(explained, 86 + np.asarray(_DIMMED * level, dtype=np.uint8), level)
+        return Picture(pixels=np.asarray(pixels, dtype=np.uint8), palette=palette)
     pixels = np.where(level > 13, level + 86 * explained, 172 + seen // 4)
     return Picture(pixels=np.asarray(pixels, dtype=np.uint8), palette=palette)
 
@@ -165,27 +229,16 @@ def keyframe_picture(image: Bytes) -> Picture:
     return Picture(pixels=image, palette=_ramp(NEUTRAL))
 
 
-def _warped(
-    window: EventWindow, result: WindowResult, camera: Camera, options: ImageOptions, mask: NDArray[np.bool_] | None
+def _votes(
+    moving: Sequence[MovingWindow],
+    T_world_camera: NDArray[np.float64],
+    plane_world: Plane,
+    camera: Camera,
+    options: ImageOptions,
 ) -> Votes:
-    """Return the IWE of the events of a mask (None: all), in the finer grid of the options."""
-    plane = Plane(normal=result.normal_world).seen_from(result.T_world_camera)
-    # On or behind the plane (a lost pose) the homography is not defined: draw with the plane ahead.
-    if not plane.distance > 1e-3:
-        plane = Plane(normal=np.array([0.0, 0.0, -1.0]))
-    bearings, t_s = window.bearings, window.t_s
-    grid = scaled_camera(camera, options.scale)
-    votes = image_of_warped_events(
-        bearings if mask is None else bearings[mask],
-        t_s if mask is None else t_s[mask],
-        None,
-        replace(grid, width=grid.width + 1, height=grid.height + 1),
-        omega=result.omega,
-        velocity=result.velocity,
-        normal=plane.normal,
-        distance=plane.distance,
-    )
-    return votes[: grid.height, : grid.width]
+    """Return the image of the wanted events, in the finer grid of the options."""
+    sign = None if options.events is Polarities.BOTH else options.events is Polarities.ON
+    return votes_of(moving, T_world_camera, plane_world, scaled_camera(camera, options.scale), positive=sign)
 
 
 def _counted(points: NDArray[np.float32], camera: Camera) -> Bytes:

@@ -14,8 +14,9 @@ from typing import Any, Protocol
 
 from dvsviz.errors import DvsvizError
 from dvsviz.view.cache import EncodedImage, ImageCache
-from dvsviz.view.images import ImageOptions
-from dvsviz.view.shown import ImageKind, ShownSession
+from dvsviz.view.drawing import draw
+from dvsviz.view.images import ImageKind, ImageOptions
+from dvsviz.view.shown import ShownSession
 
 _log = logging.getLogger(__name__)
 
@@ -166,14 +167,17 @@ class Renderer(threading.Thread):
     ) -> EncodedImage | None:
         """Return one image, from the cache where it is there."""
         # A live session gets new maps after a window was drawn on an old one.
-        maps = {ImageKind.MAP: shown.map_now(), ImageKind.TEXTURE: shown.map_number(window)}
-        on_map = maps.get(kind, -1)
+        on_map = -1
+        if kind in (ImageKind.MAP, ImageKind.ALIGNED):
+            on_map = shown.map_now()
+        elif kind in (ImageKind.TEXTURE, ImageKind.RESIDUAL):
+            on_map = shown.map_number(window)
         # All windows between two revisions share one texture.
         place = -1 if kind is ImageKind.TEXTURE else window
         key = (shown.generation, place, kind, options, on_map)
         image = self._cache.get(key)
         if image is None:
-            picture = shown.picture(window, kind, options)
+            picture = draw(shown, window, kind, options)
             if picture is None:
                 return None
             image = EncodedImage(

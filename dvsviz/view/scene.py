@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 
 from dvsviz.session.records import MapRevision
 from dvsviz.view import geometry3d
-from dvsviz.view.images import BACKGROUND, texture_picture
+from dvsviz.view.images import BACKGROUND, ImageKind, texture_picture
 from dvsviz.view.playback import Drawn
-from dvsviz.view.shown import ImageKind, ShownSession
+from dvsviz.view.shown import ShownSession
 
 _log = logging.getLogger(__name__)
 

@@ -6,7 +6,6 @@ import itertools
 import threading
 import time
 from collections import OrderedDict
-from enum import StrEnum
 from typing import Any
 
 import numpy as np
@@ -20,9 +19,7 @@ from dvsviz.geometry import se3
 from dvsviz.geometry.trajectory import Trajectory
 from dvsviz.session.records import MapRevision, WindowResult
 from dvsviz.session.store import Session, StoredKeyframe
-from dvsviz.view import images
-from dvsviz.view.images import ImageOptions
-from dvsviz.view.picture import Picture
+from dvsviz.view.moving import true_motion
 
 _AXES = (
     "rotation about x",
@@ -34,16 +31,6 @@ _AXES = (
 )
 _MAPS_KEPT = 6
 _ERRORS_EVERY_S = 2.0
-_TRUTH_STEP_US = 20_000
-
-
-class ImageKind(StrEnum):
-    """What can be drawn of a window."""
-
-    RAW = "raw"
-    WARPED = "warped"
-    MAP = "map"
-    TEXTURE = "texture"
 
 
 class ShownSession:
@@ -78,6 +65,7 @@ class ShownSession:
         self._errors: WindowErrors | None = None
         self._errors_at = (-1, False, 0.0)
         self._window: EventWindow | None = None
+        self._several: tuple[tuple[int, int, float], tuple[EventWindow, ...]] | None = None
 
     @property
     def window_count(self) -> int:
@@ -217,25 +205,39 @@ class ShownSession:
         number = self.map_now()
         return None if number < 0 else self._map(number)
 
-    def picture(self, window: int, kind: ImageKind, options: ImageOptions) -> Picture | None:
-        """Return one picture of a window, or None where it cannot be drawn."""
-        if kind is ImageKind.TEXTURE:
-            revision = self.map_at(window)
-            return None if revision is None else images.texture_picture(revision)
-        result = self.result(window)
-        camera = self.session.header.camera
-        events = self.events_of(result)
-        if events is None:
-            return self._keyframe_picture(result) if kind is ImageKind.WARPED else None
-        match kind:
-            case ImageKind.RAW:
-                return images.raw_picture(events, camera, options)
-            case ImageKind.WARPED:
-                return images.warped_picture(events, result, camera, options)
-            case ImageKind.MAP:
-                # An older map lies on an older plane, and lacks what was seen since.
-                T = self.poses()[window]
-                return images.overlay_picture(events, result, self.newest_map(), T, camera, options)
+    def events_from(self, window: int, count: int, ms: float) -> tuple[EventWindow, ...]:
+        """Return the events of `count` windows from one on, or of so many milliseconds; none where they are gone.
+
+        Args:
+            window: the first window.
+            count: how many windows.
+            ms: length in milliseconds instead; 0 for whole windows.
+        """
+        first = self.result(window)
+        if self.recording is None:
+            return ()
+        if count == 1 and not ms:
+            events = self.events_of(first)
+            return () if events is None else (events,)
+        with self._lock:
+            if self._several is not None and self._several[0] == (window, count, ms):
+                return self._several[1]
+            columns = self.session.columns()
+            starts, stop_us = columns["start_us"], int(first.start_us + 1000 * ms)
+            last = int(np.searchsorted(starts, stop_us)) if ms else window + count
+            parts: list[EventWindow] = []
+            for number in range(window, min(max(last, window + 1), len(starts))):
+                begin, end = (int(columns[name][number]) for name in ("first_event", "end_event"))
+                events = self.recording.events.read(begin, end)
+                end_us = int(columns["end_us"][number])
+                if ms:
+                    events = events[: int(np.searchsorted(events.t_us, stop_us))]
+                    end_us = min(end_us, stop_us)
+                if len(events):
+                    camera = self.session.header.camera
+                    parts.append(make_window(camera, events, index=number, first_event=begin, end_us=end_us))
+            self._several = ((window, count, ms), tuple(parts))
+            return self._several[1]
 
     def values(self, window: int) -> dict[str, Any]:
         """Return the numbers beside a window's images, ready for JSON (None where one is not known).
@@ -272,10 +274,6 @@ class ShownSession:
             "map_revision": r.map_revision,
             "note": r.note if self.recording is not None else self.missing,
         }
-
-    def _keyframe_picture(self, result: WindowResult) -> Picture | None:
-        image = next((k.image for k in self._keyframes if k.window == result.window), None)
-        return None if image is None else images.keyframe_picture(image)
 
 
 def check_recording(session: Session, recording: Recording) -> None:
@@ -314,23 +312,11 @@ def _pose_values(T_world_camera: NDArray[np.float64]) -> dict[str, Any]:
 
 def _truth_values(truth: Trajectory | None, start_us: int, end_us: int) -> dict[str, Any] | None:
     """Return the true pose in the session's world, and the true velocities over the window in the camera frame."""
-    if truth is None:
+    motion = None if truth is None else true_motion(truth, start_us, end_us)
+    if motion is None:
         return None
-    at = np.array([start_us], dtype=np.int64)
-    if not truth.covers(at)[0]:
-        return None
-    values = _pose_values(truth.at(at).Ts_world_camera[0]) | {"omega": None, "velocity": None}
-    # A window of a millisecond holds no two poses of the truth: it is made wider, within what is known.
-    wider_us = max(0, _TRUTH_STEP_US - (end_us - start_us)) // 2
-    ends = np.clip(
-        np.array([start_us - wider_us, end_us + wider_us], dtype=np.int64), truth.t_us[0], truth.t_us[-1]
-    )
-    if ends[1] > ends[0]:
-        before, after = truth.at(ends).Ts_world_camera
-        seconds = (ends[1] - ends[0]) * 1e-6
-        values["omega"] = _numbers(se3.log_so3(before[:3, :3].T @ after[:3, :3]) / seconds)
-        values["velocity"] = _numbers(before[:3, :3].T @ (after[:3, 3] - before[:3, 3]) / seconds)
-    return values
+    T, omega, velocity = motion
+    return _pose_values(T) | {"omega": _numbers(omega), "velocity": _numbers(velocity)}
 
 
 def _number(value: float) -> float | None:
