@@ -167,7 +167,8 @@ def print_summary(summary: dict[str, Any]) -> None:
         live = summary["live"]
         print(
             f"live: {live['used_share']:.1%} of {live['received']:,d} events used, left out {live['skips']} times, "
-            f"lag {live['lag_median_ms']:.0f} ms at the median, {live['lag_max_ms']:.0f} ms at most, "
+            f"pose {live['latency_median_ms']:.0f} ms after the event at the median, "
+            f"{live['latency_p95_ms']:.0f} ms at 95 %, {live['latency_max_ms']:.0f} ms at most, "
             f"opened again {live['reconnects']} times"
         )
     if "events_kept_share" in summary:

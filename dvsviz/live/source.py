@@ -12,9 +12,10 @@ import numpy as np
 
 from dvsviz.errors import DvsvizError
 from dvsviz.events.events import Events
+from dvsviz.live.figures import LiveFigures, StreamState
 
 # Unread events older than this cannot be wanted any more: the rule of `live.windows` jumps over them long before.
-_KEPT_US = 3_000_000
+_KEPT_US = 5_000_000
 _POLL_S = 0.004
 _RETRY_EVERY_S = 0.5
 
@@ -51,9 +52,7 @@ class LiveEvents:
         report: told in a sentence what happens to the stream.
 
     Attributes:
-        received: events received.
-        dropped: events dropped for lying outside the sensor or running backwards.
-        reconnects: how often the stream was opened again.
+        figures: what came, and what became of it.
         newest_us: time of the newest event.
     """
 
@@ -70,7 +69,8 @@ class LiveEvents:
         self._connect, self._retry_s, self._max_wait_us = connect, retry_s, max_wait_us
         self._record, self._report = record, report or (lambda text: None)
         self.stop = stop or threading.Event()
-        self.received, self.dropped, self.reconnects, self.newest_us = 0, 0, 0, 0
+        self.figures = LiveFigures()
+        self.received, self.newest_us = 0, 0
         self._chunks: deque[tuple[int, Events]] = deque()
         self._first: Events | None = None
         self._read_to = 0
@@ -160,6 +160,7 @@ class LiveEvents:
                         break
                     events = self._connection.read()
                 except ConnectionError as error:
+                    self.figures.broke_off()
                     self._report(f"the stream was lost ({error}); trying again for {self._retry_s:g} s")
                     self._connection = None
                     continue
@@ -172,6 +173,7 @@ class LiveEvents:
         finally:
             with self._changed:
                 self._ended = True
+                self.figures.state = StreamState.ENDED
                 self._changed.notify_all()
 
     def _again(self) -> Connection | None:
@@ -185,7 +187,8 @@ class LiveEvents:
             if connection.size != self.size:
                 self._report(f"the stream came back with a sensor of {connection.size}, and is left")
                 return None
-            self.reconnects += 1
+            self.figures.reconnects += 1
+            self.figures.state = StreamState.RECEIVING
             self._report("the stream is there again")
             return connection
         self._report("the stream did not come back")
@@ -204,7 +207,7 @@ class LiveEvents:
         before = self.newest_us if self.received else int(t[0])
         latest = np.maximum.accumulate(np.concatenate([[before], t]))[:-1]
         keep = (events.x_px < width) & (events.y_px < height) & (t >= latest)
-        self.dropped += int(len(t) - np.count_nonzero(keep))
+        self.figures.dropped += int(len(t) - np.count_nonzero(keep))
         if not keep.any():
             return
         kept = Events(
@@ -218,6 +221,7 @@ class LiveEvents:
             self._chunks.append((self.received, kept))
             self.received += len(kept)
             self.newest_us = int(kept.t_us[-1])
+            self.figures.arrived(len(kept), self.newest_us)
             while len(self._chunks) > 1 and self._is_past(*self._chunks[0]):
                 self._chunks.popleft()
             self._changed.notify_all()

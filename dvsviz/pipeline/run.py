@@ -230,7 +230,12 @@ class Run:
     def _windows(self) -> Iterable[EventWindow]:
         limit_us = round(self._config.max_window_ms * 1000)
         if isinstance(self._recording.events, LiveEvents):
-            self._live = LiveWindows(self._recording, lambda: self._tracker.window_size, max_duration_us=limit_us)
+            self._live = LiveWindows(
+                self._recording,
+                lambda: self._tracker.window_size,
+                max_duration_us=limit_us,
+                stretch=lambda factor: setattr(self._tracker, "stretch", factor),
+            )
             return self._live
         return windows(
             until(self._recording, self._part[1]),

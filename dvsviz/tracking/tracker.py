@@ -49,6 +49,9 @@ class Tracker:
     Args:
         camera: the calibrated camera.
         config: settings; the defaults need none.
+
+    Attributes:
+        stretch: how much more than the wanted image motion a window may cover, for a stream that is behind.
     """
 
     def __init__(self, camera: Camera, config: TrackerConfig | None = None) -> None:
@@ -59,6 +62,7 @@ class Tracker:
         self._mapper = Mapper(camera, self._free, solve_normal=self.config.motion == "planar")
         self._motion = Motion.start()
         self._gain = 1.0
+        self.stretch = 1.0
         self._failures = FailureWatch()
         self._relief = ReliefOdometry(camera) if self.config.motion == "translation" else None
 
@@ -67,7 +71,7 @@ class Tracker:
         """Events that the next window should have: the configured number, or by the image's motion."""
         if self.config.window is not None:
             return self.config.window
-        return int(np.clip(self._motion.size, c.WINDOW_EVENTS_MIN, c.WINDOW_EVENTS_MAX))
+        return int(np.clip(self._motion.size * self.stretch, c.WINDOW_EVENTS_MIN, c.WINDOW_EVENTS_MAX))
 
     @property
     def status(self) -> Status:
@@ -361,6 +365,7 @@ class Tracker:
     def _resize(self, displacement: float) -> None:
         """Move the window size towards the wanted image displacement."""
         wanted = c.WINDOW_DISPLACEMENT_PX if self._relief is None else c.RELIEF_DISPLACEMENT_PX
+        displacement /= self.stretch
         factor = float(np.clip(wanted / max(displacement, 0.1), 1 / c.WINDOW_GROWTH, c.WINDOW_GROWTH))
         # Far off, at once; near, gently, so that a single odd window does not change much.
         factor = factor if displacement < 0.5 * wanted else float(np.sqrt(factor))
