@@ -13,7 +13,8 @@ from dvsviz.errors import DvsvizError
 from dvsviz.events.events import Events
 from dvsviz.events.recording import MemoryEvents, Recording
 from dvsviz.geometry.camera import Camera
-from dvsviz.live.network import connect, parse_address
+from dvsviz.live.network import parse_address
+from dvsviz.live.receiver import connect
 from dvsviz.live.server import EventServer, LiveError, replay
 from dvsviz.live.source import LiveEvents
 from dvsviz.live.windows import MAX_LAG_US, SLOW_LAG_US, LiveWindows
@@ -92,6 +93,9 @@ class Burst:
         if not self._parts:
             raise ConnectionError("it ended")
         return self._parts.pop(0)
+
+    def close(self) -> None:
+        self._parts.clear()
 
 
 class Paced(Burst):

@@ -42,7 +42,7 @@ def track_live(command: Track) -> int:
     from dvsviz.formats.calibration import read_calibration
     from dvsviz.formats.hdf5 import RecordingWriter
     from dvsviz.geometry.camera import Camera
-    from dvsviz.live.network import connect
+    from dvsviz.live.receiver import connect
     from dvsviz.live.source import LiveEvents
     from dvsviz.tracking.warm_up import warm_up
 

@@ -1,4 +1,7 @@
-"""Where live events come from: an AEDAT4 network stream or an attached camera, both read with dv-processing."""
+"""Where live events come from: an AEDAT4 network stream or an attached camera, both read with dv-processing.
+
+`dvsviz.live.receiver` runs this in a process of its own.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +20,8 @@ _MOST_EVENTS = 100_000
 _ADDRESS = re.compile(r"(?:aedat4\+)?tcp://(\[[0-9a-fA-F:.]+\]|[^:/]+):(\d{1,5})/?")
 
 
-def connect(where: str) -> Connection:
-    """Open `aedat4+tcp://HOST:PORT` or `camera`.
+def open_stream(where: str) -> Connection:
+    """Open `aedat4+tcp://HOST:PORT` or `camera` in this process.
 
     Raises:
         LiveError: no such stream or camera, or dv-processing is not installed.
@@ -30,8 +33,7 @@ def connect(where: str) -> Connection:
         raise LiveError("dv-processing, which reads streams and cameras, is not installed", hint=hint) from error
     if where == "camera":
         return _Reader(_camera(dv), where)
-    host, port = parse_address(where)
-    _look(host, port, where)
+    host, port = look(where)
     try:
         reader = dv.io.NetworkReader(host, port)
     except (RuntimeError, ValueError, OSError) as error:
@@ -43,8 +45,13 @@ def connect(where: str) -> Connection:
     return _Reader(reader, where)
 
 
-def _look(host: str, port: int, where: str) -> None:
-    """Look whether a stream answers: dv-processing waits without end, and without letting anything else run."""
+def look(where: str) -> tuple[str, int]:
+    """Return host and port of a stream that answers: dv-processing would wait for it without end.
+
+    Raises:
+        LiveError: it is no address, or no stream answers there.
+    """
+    host, port = parse_address(where)
     try:
         with socket.create_connection((host, port), timeout=_ANSWER_S) as probe:
             head = probe.recv(12)
@@ -54,6 +61,7 @@ def _look(host: str, port: int, where: str) -> None:
         raise LiveError(f"nothing answers at {where} ({reason})", hint=hint) from error
     if head[8:12] != b"IOHE":
         raise LiveError(f"what answers at {where} is no AEDAT4 stream", hint="check host and port")
+    return host, port
 
 
 def parse_address(where: str) -> tuple[str, int]:
@@ -109,3 +117,7 @@ class _Reader:
             y_px=rows["y"].astype(np.uint16),
             is_positive=rows["polarity"] != 0,
         )
+
+    def close(self) -> None:
+        """Let go of the stream: the library closes what is not used any more."""
+        del self._reader

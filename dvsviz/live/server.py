@@ -10,14 +10,16 @@ import threading
 import time
 from collections.abc import Callable
 from types import TracebackType
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
 from dvsviz.errors import DvsvizError
 from dvsviz.events.events import Events
-from dvsviz.events.recording import Recording
 from dvsviz.live.packets import event_packet, stream_header
+
+if TYPE_CHECKING:
+    from dvsviz.events.recording import Recording
 
 # A packet a millisecond is what cameras send; packets of this many events are cut.
 _PACKET_US = 1000

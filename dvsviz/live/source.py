@@ -36,6 +36,10 @@ class Connection(Protocol):
         """
         ...
 
+    def close(self) -> None:
+        """Let go of the stream."""
+        ...
+
 
 class LiveEvents:
     """An `EventSource` that grows; index 0 is the first event that was received.
@@ -162,7 +166,7 @@ class LiveEvents:
                 except ConnectionError as error:
                     self.figures.broke_off()
                     self._report(f"the stream was lost ({error}); trying again for {self._retry_s:g} s")
-                    self._connection = None
+                    self._let_go()
                     continue
                 if events is None:
                     self.stop.wait(_POLL_S)
@@ -171,10 +175,16 @@ class LiveEvents:
         except DvsvizError as error:
             self._error = error
         finally:
+            self._let_go()
             with self._changed:
                 self._ended = True
                 self.figures.state = StreamState.ENDED
                 self._changed.notify_all()
+
+    def _let_go(self) -> None:
+        if self._connection is not None:
+            self._connection.close()
+            self._connection = None
 
     def _again(self) -> Connection | None:
         """Return the stream, opened again, or None where it does not come back in time."""
@@ -185,6 +195,7 @@ class LiveEvents:
             except DvsvizError:
                 continue
             if connection.size != self.size:
+                connection.close()
                 self._report(f"the stream came back with a sensor of {connection.size}, and is left")
                 return None
             self.figures.reconnects += 1
