@@ -65,6 +65,7 @@ class _Bar:
 
     _TEXTS: ClassVar = {
         Stage.SIMULATING: "Simulating a 10 s demo recording, once",
+        Stage.READING: "Reading the recording (other formats are converted once)",
         Stage.COMPILING: "Getting the tracker ready (kernels are compiled the first time)",
     }
 

@@ -13,7 +13,8 @@ import pytest
 
 from dvsviz.config import TrackerConfig
 from dvsviz.gateway.library import Library
-from dvsviz.gateway.runs import Run, RunOrder, Runs, RunState, Stage
+from dvsviz.gateway.orders import RunOrder, RunState, Stage
+from dvsviz.gateway.runs import Run, Runs
 from dvsviz.session.store import open_session
 from dvsviz.simulate.simulate import simulate
 
@@ -56,7 +57,7 @@ def test_a_run_pauses_goes_on_and_is_stopped(runs: Runs, recording: Path, tmp_pa
     until(lambda: run.state is RunState.RUNNING, "it runs")
     listed = {entry["name"]: entry for entry in library.entries()}
     assert (listed["a"]["state"], listed["b"]["state"]) == ("starting", "queued")
-    assert listed["a"]["stages"] == ["compiling", "tracking"]
+    assert listed["a"]["stages"] == ["reading", "compiling", "tracking"]
     runs.act("b", "cancel")
     assert waiting.state is RunState.CANCELLED
     until(lambda: windows_of(out) > 5 and run.stage is Stage.TRACKING, "it tracks")

@@ -295,6 +295,8 @@ class Serve:
     no_browser: Flag = False
     """Do not open a browser."""
     sessions: Folder = None
+    recordings: Annotated[tuple[Path, ...], arg(metavar="DIR ...")] = ()
+    """Folders whose recordings can be tracked from the page, besides those of the sessions' folder."""
 
     def run(self) -> int:
         """Serve until stopped."""

@@ -16,6 +16,7 @@ def serve(command: Serve) -> int:
         host=command.host,
         port=command.port,
         open_browser=not command.no_browser,
+        recordings=command.recordings,
         ready=lambda address: print(address, flush=True),
     )
     return 0

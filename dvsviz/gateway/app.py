@@ -20,8 +20,11 @@ from dvsviz.formats.open import open_recording
 from dvsviz.gateway.demo import demo_path
 from dvsviz.gateway.exports import Exports
 from dvsviz.gateway.library import Library
+from dvsviz.gateway.manage import Manager
+from dvsviz.gateway.orders import RunOrder, RunState
+from dvsviz.gateway.recordings import Recordings
 from dvsviz.gateway.routes import Routes
-from dvsviz.gateway.runs import Run, RunOrder, Runs, RunState
+from dvsviz.gateway.runs import Run, Runs
 from dvsviz.gateway.security import Keys
 from dvsviz.gateway.tabs import Tabs
 from dvsviz.gateway.watch import Watch
@@ -47,6 +50,7 @@ def serve(
     demo: bool = False,
     ready: Callable[[str], None] | None = None,
     told: Callable[[Run], None] | None = None,
+    recordings: Sequence[Path] = (),
 ) -> None:
     """Show sessions in the browser until Ctrl-C; recordings among the paths are tracked live.
 
@@ -59,11 +63,14 @@ def serve(
         demo: track the demo recording anew, so that there is something to see.
         ready: called with the address, token and all, once the server listens.
         told: called with a run whenever it told how far it is, from another thread.
+        recordings: folders whose recordings can be tracked from the page, besides those of the sessions' folder.
 
     Raises:
         DvsvizError: the port is in use, or a path is neither recording nor session.
     """
-    dashboard = Dashboard(paths, sessions_dir=sessions_dir, host=host, port=port, demo=demo, told=told)
+    dashboard = Dashboard(
+        paths, sessions_dir=sessions_dir, host=host, port=port, demo=demo, told=told, recordings=recordings
+    )
     try:
         if ready is not None:
             ready(dashboard.address)
@@ -86,6 +93,7 @@ class Dashboard:
         port: port to listen at; 0 takes any.
         demo: track the demo recording anew; it is simulated the first time.
         told: called with a run whenever it told how far it is, from another thread.
+        recordings: folders whose recordings can be tracked from the page, besides those of the sessions' folder.
 
     Raises:
         DvsvizError: the port is in use, or a path is neither recording nor session.
@@ -100,10 +108,14 @@ class Dashboard:
         port: int = DEFAULT_PORT,
         demo: bool = False,
         told: Callable[[Run], None] | None = None,
+        recordings: Sequence[Path] = (),
     ) -> None:
         self._socket = _listen(host, port)
         try:
             sessions_dir.mkdir(parents=True, exist_ok=True)
+            for folder in recordings:
+                if not folder.is_dir():
+                    raise DvsvizError("is not a folder", path=folder, hint="name a folder with --recordings")
             orders, sessions = _sorted(paths, sessions_dir)
             if demo:
                 orders.append(_demo_order(sessions_dir))
@@ -118,6 +130,7 @@ class Dashboard:
         self._library = Library(sessions_dir, self.runs)
         self._tabs = Tabs(self._library, ImageCache(_CACHE_BYTES))
         self._exports = Exports()
+        self._recordings = Recordings([sessions_dir, *recordings])
         for path in sessions:
             self._library.add_session(path)
         self._watch = Watch(self._library, self._tabs)
@@ -133,6 +146,7 @@ class Dashboard:
             tabs=self._tabs,
             watch=self._watch,
             exports=self._exports,
+            manager=Manager(self._library, self.runs, self._recordings),
             static=static_folder(),
         )
         config = uvicorn.Config(
@@ -170,6 +184,7 @@ class Dashboard:
         self.runs.close()
         self._tabs.close()
         self._exports.close()
+        self._recordings.close()
 
     def _run_changed(self, run: Run) -> None:
         self._watch.look()

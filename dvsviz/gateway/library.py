@@ -1,4 +1,7 @@
-"""The sessions there are, by name. A name that a browser sends is looked up here, never made part of a path."""
+"""The sessions there are, by name. A name that a browser sends is looked up here, never made part of a path.
+
+Branches that were tried and are not kept lie in a folder of their own inside the sessions' folder.
+"""
 
 from __future__ import annotations
 
@@ -9,30 +12,21 @@ from collections import OrderedDict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from dvsviz.errors import DvsvizError, SessionError
 from dvsviz.events.filters import FilterConfig
 from dvsviz.events.recording import Recording
 from dvsviz.formats.open import open_recording
-from dvsviz.gateway.runs import Run, Runs, RunState, Stage
-from dvsviz.pipeline import summarize
-from dvsviz.session.records import STATUSES, Status
+from dvsviz.gateway.entries import origin_of, read_entry, rounded, state_of, waiting_entry
+from dvsviz.gateway.runs import Runs
+from dvsviz.session.records import STATUSES
 from dvsviz.session.store import Session, open_session
 from dvsviz.view.shown import ShownSession, check_recording
 
 _log = logging.getLogger(__name__)
 
+BRANCHES = "branches"
+
 _KEPT_OPEN = 6
-_SPARKS = 64
-# A stretch of the sparkline shows its worst state.
-_BADNESS = np.array(
-    [
-        [Status.INITIALIZING, Status.TRACKING, Status.WEAK, Status.RELOCALIZING, Status.LOST].index(s)
-        for s in STATUSES
-    ]
-)
 
 
 class Library:
@@ -54,6 +48,56 @@ class Library:
         self._recordings: list[Path] = []
         self.scan()
 
+    @property
+    def folder(self) -> Path:
+        """Where sessions are listed and written."""
+        return self._folder
+
+    def path(self, name: str) -> Path:
+        """Return the file of a session.
+
+        Raises:
+            KeyError: there is no session of that name.
+        """
+        with self._lock:
+            if name not in self._paths:
+                self.scan()
+            return self._paths[name]
+
+    def free_name(self, wanted: str) -> str:
+        """Return a name that no session and no run has: the wanted one, or with a number behind it."""
+        name, number = wanted, 2
+        while not self.is_free(name):
+            name, number = f"{wanted} {number}", number + 1
+        return name
+
+    def is_free(self, name: str) -> bool:
+        """Return whether neither a session nor a run has a name."""
+        with self._lock:
+            self.scan()
+            there = name in self._paths or any((place / f"{name}.h5").exists() for place in self._places())
+        run = self._runs.get(name)
+        return not there and (run is None or not run.is_open)
+
+    def drop(self, name: str) -> None:
+        """Forget an open session: its file is gone or has another name."""
+        with self._lock:
+            path = self._paths.get(name)
+            self._open.pop(name, None)
+            self._single = {key: value for key, value in self._single.items() if key != name}
+            if path is not None:
+                self._entries.pop(path, None)
+            self.scan()
+
+    def recordings(self) -> list[Path]:
+        """Return where the recordings of the sessions and runs lie, as far as they are known."""
+        with self._lock:
+            entries = [entry for _, entry in self._entries.values() if entry is not None]
+            return [*self._recordings, *(Path(entry["recording_path"]) for entry in entries)]
+
+    def _places(self) -> tuple[Path, Path]:
+        return self._folder, self._folder / BRANCHES
+
     def add_session(self, path: Path) -> str:
         """List a session file that lies somewhere else and return the name it got."""
         with self._lock:
@@ -73,7 +117,9 @@ class Library:
 
     def scan(self) -> None:
         """Look which files there are."""
-        found = {path.stem: path for path in sorted(self._folder.glob("*.h5"))} if self._folder.is_dir() else {}
+        found: dict[str, Path] = {}
+        for place in reversed(self._places()):  # a session before a branch of the same name
+            found |= {path.stem: path for path in sorted(place.glob("*.h5"))} if place.is_dir() else {}
         with self._lock:
             self._paths = found | {name: path for name, path in self._single.items() if path.exists()}
 
@@ -81,9 +127,11 @@ class Library:
         """Return what the list of sessions shows, newest first, queued runs last; other files are left out."""
         with self._lock:
             paths = dict(self._paths)
-        entries = [entry for name, path in paths.items() if (entry := self._entry(name, path)) is not None]
+        found = ((name, self._entry(name, path)) for name, path in paths.items())
+        entries = [entry | {"name": name, "run": self._run_of(name)} for name, entry in found if entry is not None]
         known = {entry["name"] for entry in entries}
-        waiting = [_waiting(run) for run in self._runs.without_session() if run.order.name not in known]
+        runs = [run for run in self._runs.without_session() if run.order.name not in known]
+        waiting = [waiting_entry(run) | {"run": self._run_of(run.order.name)} for run in runs]
         return [*sorted(entries, key=lambda entry: entry["created"], reverse=True), *waiting]
 
     def open(self, name: str) -> ShownSession:
@@ -123,7 +171,7 @@ class Library:
 
     def state(self, session: Session) -> str:
         """Return `complete`, `live` or `incomplete`."""
-        return "complete" if session.complete else "live" if session.is_live else "incomplete"
+        return state_of(session)
 
     def progress(self, shown: ShownSession) -> dict[str, float | None]:
         """Return how far a growing session is: what its run tells, or what is stored where another program writes."""
@@ -133,6 +181,14 @@ class Library:
         if events and shown.window_count:
             told["share"] = min(1.0, int(shown.session.column("end_event")[-1]) / events)
         return told | run.progress if run is not None and run.is_active else told
+
+    def _run_of(self, name: str) -> dict[str, Any] | None:
+        """Return where the run of a session stands, or None where none waits or is going on."""
+        run = self._runs.get(name)
+        if run is None or not run.is_open:
+            return None
+        told = {key: rounded(run.progress.get(key)) for key in ("share", "events_per_second", "lag_s")}
+        return {"state": str(run.state), "stage": str(run.stage), "before": self._runs.place(run), **told}
 
     def describe(self, shown: ShownSession) -> dict[str, Any]:
         """Return what the page needs to know about an open session, once."""
@@ -145,7 +201,7 @@ class Library:
             "windows": session.window_count,
             "state": self.state(session),
             "t0_us": header.first_us,
-            "duration_s": header.duration_s,
+            "duration_s": header.part_s[1],
             "events": header.events,
             "width": header.camera.width,
             "height": header.camera.height,
@@ -170,6 +226,9 @@ class Library:
             "recording_path": header.recording_path,
             "recording_note": shown.missing,
             "config": json.loads(header.config_json),
+            "filters": None if header.filters_json is None else json.loads(header.filters_json),
+            "origin": origin_of(header),
+            "run": self._run_of(shown.name),
             "seed": header.seed,
             "created": header.created,
             "program_version": header.program_version,
@@ -218,7 +277,7 @@ class Library:
             # A session whose writer was killed does not change its file when it stops being live.
             if known is not None and known[0] == mark and (known[1] is None or known[1]["state"] != "live"):
                 return known[1]
-            entry = self._read_entry(name, path)
+            entry = read_entry(name, path, kept=path.parent != self._folder / BRANCHES)
         except OSError:
             return None  # the file went away between listing and reading
         except SessionError as error:
@@ -227,64 +286,8 @@ class Library:
         self._entries[path] = (mark, entry)
         return entry
 
-    def _read_entry(self, name: str, path: Path) -> dict[str, Any]:
-        session = open_session(path)
-        header, status = session.header, session.column("status")
-        figures = summarize(status)
-        return {
-            "name": name,
-            "recording": header.recording_name,
-            "format": header.recording_format,
-            "width": header.camera.width,
-            "height": header.camera.height,
-            "duration_s": header.duration_s,
-            "events": header.events,
-            "windows": session.window_count,
-            "tracked_share": figures["tracked_share"],
-            "losses": figures["losses"],
-            "state": self.state(session),
-            "sparkline": sparkline(status),
-            "has_ground_truth": session.ground_truth is not None,
-            "created": header.created,
-        }
-
 
 def bookmarks_of(shown: ShownSession) -> list[dict[str, Any]]:
     """Return a session's bookmarks in the order of their windows."""
     found = sorted(shown.session.bookmarks, key=lambda mark: mark.window)
     return [{"bookmark": b.bookmark, "window": b.window, "text": b.text} for b in found]
-
-
-def sparkline(status: NDArray[np.uint8]) -> list[int]:
-    """Return up to 64 numbers of `STATUSES`: the worst of each stretch of windows."""
-    if len(status) == 0:
-        return []
-    starts = np.unique(np.linspace(0, len(status), _SPARKS, endpoint=False).astype(np.int64))
-    worst = np.maximum.reduceat(_BADNESS[status], starts)
-    return [int(number) for number in np.argsort(_BADNESS)[worst]]
-
-
-def _waiting(run: Run) -> dict[str, Any]:
-    """Return the entry of a run that has no session yet."""
-    order = run.order
-    begun = {RunState.RUNNING: "starting", RunState.PAUSED: "starting"}
-    return {
-        "name": order.name,
-        "recording": order.recording.stem,
-        "format": "",
-        "width": 0,
-        "height": 0,
-        "duration_s": 0.0,
-        "events": 0,
-        "windows": 0,
-        "tracked_share": None,
-        "losses": 0,
-        "state": begun.get(run.state, str(run.state)),
-        "stages": [str(stage) for stage in Stage if order.demo or stage is not Stage.SIMULATING],
-        "stage": str(run.stage),
-        "share": run.progress.get("share"),
-        "error": run.error,
-        "sparkline": [],
-        "has_ground_truth": False,
-        "created": "",
-    }

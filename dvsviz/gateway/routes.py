@@ -21,6 +21,7 @@ from starlette.websockets import WebSocket
 from dvsviz.errors import DvsvizError
 from dvsviz.gateway.exports import FORMATS, Exports
 from dvsviz.gateway.library import Library, bookmarks_of
+from dvsviz.gateway.manage import Manager
 from dvsviz.gateway.messages import pack_columns
 from dvsviz.gateway.proxy import SceneProxy
 from dvsviz.gateway.runs import Runs
@@ -38,10 +39,20 @@ class Routes:
     """Answers the page's calls."""
 
     def __init__(
-        self, *, keys: Keys, library: Library, runs: Runs, tabs: Tabs, watch: Watch, exports: Exports, static: Path
+        self,
+        *,
+        keys: Keys,
+        library: Library,
+        runs: Runs,
+        tabs: Tabs,
+        watch: Watch,
+        exports: Exports,
+        manager: Manager,
+        static: Path,
     ) -> None:
         self._keys, self._library, self._runs = keys, library, runs
         self._tabs, self._watch, self._exports, self._static = tabs, watch, exports, static
+        self._manager = manager
         self._proxy = SceneProxy()
 
     def app(self, host: str) -> ASGIApp:
@@ -58,6 +69,12 @@ class Routes:
             "/api/sessions/{name}/export": (self.export, "POST"),
             "/api/sessions/{name}/bookmarks": (self.bookmarks, "POST"),
             "/api/exports/{number}": (self.exported, "GET"),
+            "/api/sessions/{name}/change": (self.change, "POST"),
+            "/api/sessions/{name}/branch": (self.branch, "POST"),
+            "/api/sessions/{name}/preview": (self.preview, "POST"),
+            "/api/recordings": (self.recordings, "GET"),
+            "/api/recordings/{number}": (self.recording, "GET"),
+            "/api/runs": (self.start, "POST"),
             "/api/runs/{name}": (self.run, "POST"),
         }
         routes = [
@@ -145,6 +162,42 @@ class Routes:
             raise ValueError(f"action: expected one of {', '.join(_ACTIONS)}")
         self._runs.act(request.path_params["name"], action)
         return Response(status_code=204)
+
+    async def recordings(self, request: Request) -> Response:
+        """Return what a run can be started on, and with which settings."""
+        return JSONResponse(await asyncio.to_thread(self._manager.offer))
+
+    async def recording(self, request: Request) -> Response:
+        """Return what is known of a recording, or how far its reading is."""
+        return JSONResponse(await asyncio.to_thread(self._manager.describe, request.path_params["number"]))
+
+    async def start(self, request: Request) -> Response:
+        """Queue a run of a recording."""
+        name = await asyncio.to_thread(self._manager.start, await _body(request))
+        self._watch.look()
+        return JSONResponse({"name": name})
+
+    async def branch(self, request: Request) -> Response:
+        """Queue a branch of a session."""
+        shown = await self._shown(request)
+        name = await asyncio.to_thread(self._manager.try_again, shown, await _body(request))
+        self._watch.look()
+        return JSONResponse({"name": name})
+
+    async def preview(self, request: Request) -> Response:
+        """Return how a window would lie on the map from another pose."""
+        shown, body = await self._shown(request), await _body(request)
+        return JSONResponse(await asyncio.to_thread(self._manager.preview, shown, body))
+
+    async def change(self, request: Request) -> Response:
+        """Rename, tag, resume, keep or delete a session; the answer is its name then, null where it is gone."""
+        name, body = request.path_params["name"], await _body(request)
+        new = await asyncio.to_thread(self._manager.change, name, body)
+        if new != name:
+            for tab in self._tabs.all():
+                tab.tell({"type": "renamed", "session": name, "name": new}, f"renamed {name}")
+        self._watch.look()
+        return JSONResponse({"name": new})
 
     async def tab(self, socket: WebSocket) -> None:
         """Talk with a tab's page."""

@@ -10,78 +10,22 @@ from __future__ import annotations
 import contextlib
 import logging
 import multiprocessing
-import os
-import signal
-import sys
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from enum import StrEnum
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
-from pathlib import Path
-from typing import Literal
 
-from dvsviz.config import TrackerConfig
-from dvsviz.errors import DvsvizError, RunCancelled
+from dvsviz.errors import DvsvizError
+from dvsviz.gateway.child import carry_out
+from dvsviz.gateway.orders import Action, RunOrder, RunState, Stage
 
 _log = logging.getLogger(__name__)
 
-Action = Literal["pause", "resume", "cancel"]
-
-# The tracker gives way to seeks where a browser that draws in software takes the other core.
-_NICE = 5
 # A window takes some ten milliseconds, a refinement of many keyframes a second: what is not written then is lost.
 _GRACE_S = 3.0
 _LOOK_EVERY_S = 0.1
-_TELL_EVERY_S = 0.2
-
-
-class Stage(StrEnum):
-    """What a running run is doing."""
-
-    SIMULATING = "simulating"
-    COMPILING = "compiling"
-    TRACKING = "tracking"
-
-
-class RunState(StrEnum):
-    """Where a run stands."""
-
-    QUEUED = "queued"
-    RUNNING = "running"
-    PAUSED = "paused"
-    DONE = "done"
-    CANCELLED = "cancelled"
-    FAILED = "failed"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RunOrder:
-    """What is to be tracked.
-
-    Attributes:
-        recording: file or folder.
-        out: the session that is written; its stem is the run's name.
-        config: of the tracker.
-        force: overwrite a session that is there.
-        resume: go on with a session that was interrupted.
-        demo: the recording is the demo's: it is simulated where it is not there yet.
-    """
-
-    recording: Path
-    out: Path
-    config: TrackerConfig = field(default_factory=TrackerConfig)
-    force: bool = False
-    resume: bool = False
-    demo: bool = False
-
-    @property
-    def name(self) -> str:
-        """The session's name."""
-        return self.out.stem
 
 
 class Run:
@@ -91,7 +35,7 @@ class Run:
         self.order = order
         self.state = RunState.QUEUED
         self.error = ""
-        self.stage = Stage.SIMULATING if order.demo else Stage.COMPILING
+        self.stage = Stage.SIMULATING if order.demo else Stage.READING
         self.is_cancelled = False
         self.progress: dict[str, float] = {}
 
@@ -99,6 +43,11 @@ class Run:
     def is_active(self) -> bool:
         """True while a process works on it."""
         return self.state in (RunState.RUNNING, RunState.PAUSED)
+
+    @property
+    def is_open(self) -> bool:
+        """True while it waits or a process works on it."""
+        return self.is_active or self.state is RunState.QUEUED
 
 
 class Runs:
@@ -128,7 +77,7 @@ class Runs:
         """
         with self._condition:
             old = self._runs.get(order.name)
-            if old is not None and (old.is_active or old.state is RunState.QUEUED):
+            if old is not None and old.is_open:
                 raise DvsvizError(f"{order.name} is being tracked already", hint="cancel that run first")
             run = self._runs[order.name] = Run(order)
             self._queue.append(run)
@@ -138,6 +87,29 @@ class Runs:
     def get(self, name: str) -> Run | None:
         """Return the latest run of that name, or None."""
         return self._runs.get(name)
+
+    def place(self, run: Run) -> int:
+        """Return how many runs come before one that waits; 0 where it does not wait."""
+        with self._condition:
+            waiting = list(self._queue)
+            return waiting.index(run) + (self._process is not None) if run in waiting else 0
+
+    def forget(self, name: str) -> None:
+        """Forget a run that has ended.
+
+        Raises:
+            DvsvizError: it waits or is going on.
+        """
+        with self._condition:
+            run = self._runs.get(name)
+            if run is not None and run.is_open:
+                raise DvsvizError(f"{name} is being tracked", hint="stop that run first")
+            self._runs.pop(name, None)
+
+    def all_open(self) -> list[Run]:
+        """Return the runs that wait or are going on."""
+        with self._condition:
+            return [run for run in self._runs.values() if run.is_open]
 
     def without_session(self) -> list[Run]:
         """Return the runs whose session is not there: they wait, begin, or failed before their first window."""
@@ -196,7 +168,7 @@ class Runs:
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()
         process = context.Process(
-            target=_track, args=(theirs, run.order), name=f"track {run.order.name}", daemon=True
+            target=carry_out, args=(theirs, run.order), name=f"track {run.order.name}", daemon=True
         )
         process.start()
         theirs.close()
@@ -242,85 +214,3 @@ class Runs:
                     self._told(run)
         except (EOFError, OSError):
             return None, ""
-
-
-def _track(pipe: Connection, order: RunOrder) -> None:
-    """Track in this process; answer with the final state and an error sentence."""
-    # Ctrl-C goes to the whole group of processes: the server tells the run when to stop.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, _stop)
-    sys.stdout = sys.stderr
-    if hasattr(os, "nice"):
-        os.nice(_NICE)
-    from dvsviz.formats.open import open_recording
-    from dvsviz.gateway.demo import demo_recording
-    from dvsviz.pipeline import Progress, track
-
-    cancel, going_on = threading.Event(), threading.Event()
-    going_on.set()
-    threading.Thread(target=_listen, args=(pipe, cancel, going_on), daemon=True).start()
-
-    told_s = 0.0
-
-    def tell(stage: Stage, told: dict[str, float], *, at_once: bool = False) -> None:
-        nonlocal told_s
-        if at_once or time.monotonic() - told_s > _TELL_EVERY_S:
-            told_s = time.monotonic()
-            with contextlib.suppress(OSError):  # the server is gone: `_listen` cancels
-                pipe.send({"stage": str(stage), **told})
-
-    def progress(now: Progress) -> None:
-        behind_s = now.recording_s * (1 / now.real_time_factor - 1) if now.real_time_factor > 0 else 0.0
-        told = {
-            "share": now.share,
-            "events_per_second": now.events_per_second,
-            "lag_s": max(0.0, behind_s),
-            "real_time_factor": now.real_time_factor,
-        }
-        tell(Stage.TRACKING, told)
-        going_on.wait()
-
-    try:
-        if order.demo:
-            demo_recording(order.recording, lambda share: tell(Stage.SIMULATING, {"share": share}))
-        tell(Stage.COMPILING, {}, at_once=True)
-        recording = open_recording(order.recording)
-        order.out.parent.mkdir(parents=True, exist_ok=True)
-        track(
-            recording,
-            order.config,
-            order.out,
-            force=order.force,
-            resume=order.resume,
-            progress=progress,
-            cancel=cancel,
-        )
-        answer = (RunState.CANCELLED if cancel.is_set() else RunState.DONE, "")
-    except RunCancelled:
-        answer = (RunState.CANCELLED, "")
-    except (DvsvizError, OSError, MemoryError, ValueError) as error:
-        answer = (RunState.FAILED, str(error))
-    try:
-        pipe.send(answer)
-    except OSError:
-        return  # the server is gone; what was written stays
-
-
-def _stop(*_: object) -> None:
-    """End by an exception, so that files that were begun are taken away."""
-    raise RunCancelled("stopped")
-
-
-def _listen(pipe: Connection, cancel: threading.Event, going_on: threading.Event) -> None:
-    """Obey commands; a server that is gone cancels."""
-    while not cancel.is_set():
-        try:
-            action: Action = pipe.recv()
-        except (EOFError, OSError):
-            action = "cancel"
-        if action == "pause":
-            going_on.clear()
-            continue
-        if action == "cancel":
-            cancel.set()
-        going_on.set()

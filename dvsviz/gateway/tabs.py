@@ -16,6 +16,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from dvsviz.errors import DvsvizError
 from dvsviz.gateway.library import Library
 from dvsviz.gateway.messages import pack_images
+from dvsviz.gateway.trial import KINDS, dragged, obey
 from dvsviz.view.cache import ImageCache
 from dvsviz.view.images import LONGEST_MS, MOST_WINDOWS, ImageKind, ImageOptions
 from dvsviz.view.moving import Polarities
@@ -40,10 +41,11 @@ class Tab:
     def __init__(self, name: str, library: Library, cache: ImageCache) -> None:
         self.name = name
         self.shown: ShownSession | None = None
-        self.scene = TabScene(self._go_to)
+        self.scene = TabScene(self._go_to, lambda position, wxyz: self.tell(dragged(position, wxyz), "gizmo"))
         self.gone_s = time.monotonic()
         # The last growth that the page was told, None where it was told nothing yet.
         self.told: object = None
+        self.told_beside: object = None
         self._library, self._cache = library, cache
         self._loop: asyncio.AbstractEventLoop | None = None
         self._renderer: Renderer | None = None
@@ -58,6 +60,10 @@ class Tab:
         """True while a page holds the websocket."""
         return self._renderer is not None
 
+    def shows_beside(self, shown: ShownSession) -> bool:
+        """Return whether a session is drawn beside the one that is open."""
+        return self.scene.trial.beside is shown
+
     def tell(self, message: dict[str, Any], slot: str) -> None:
         """Send a message, in place of one of the same slot that still waits; from any thread."""
         self._put(slot, json.dumps(message))
@@ -67,7 +73,7 @@ class Tab:
         self._loop, self._wake = asyncio.get_running_loop(), asyncio.Event()
         # Before the first await: from here on a second page of this name is refused.
         self._renderer = self._new_renderer()
-        self.told = None
+        self.told = self.told_beside = None
         self.tell(hello, "sessions")
         sender: asyncio.Task[None] | None = None
         try:
@@ -114,6 +120,8 @@ class Tab:
                 await self._seek(message)
             elif kind == "open":
                 await self._open(str(message["session"]))
+            elif kind in KINDS:
+                await obey(message, self.shown, self._library, self.scene.trial)
             elif kind == "layers":
                 layers = {str(name): on is True for name, on in message["layers"].items()}
                 await asyncio.to_thread(self.scene.set_layers, layers)

@@ -77,11 +77,16 @@ class Watch(threading.Thread):
         behind = [tab for tab in self._tabs.all() if tab.shown is shown and tab.told != (shown.name, now)]
         if behind:
             self._tell_growth(shown, behind, now)
+        beside = [
+            tab for tab in self._tabs.all() if tab.shows_beside(shown) and tab.told_beside != (shown.name, now)
+        ]
+        if beside:
+            self._tell_growth(shown, beside, now, beside=True)
         self._told[shown.name] = now
         if now is not known:
             self._grow_scenes(shown, ended=known is not None and now[2] != known[2])
 
-    def _tell_growth(self, shown: ShownSession, tabs: list[Tab], now: _Told) -> None:
+    def _tell_growth(self, shown: ShownSession, tabs: list[Tab], now: _Told, *, beside: bool = False) -> None:
         _, _, state, progress = now
         statuses = shown.statuses()
         message = {
@@ -93,7 +98,10 @@ class Watch(threading.Thread):
             "progress": progress,
         }
         for tab in tabs:
-            tab.told = (shown.name, now)
+            if beside:
+                tab.told_beside = (shown.name, now)
+            else:
+                tab.told = (shown.name, now)
             tab.tell(message, f"grown {shown.name}")
 
     def _grow_scenes(self, shown: ShownSession, *, ended: bool) -> None:
@@ -105,6 +113,8 @@ class Watch(threading.Thread):
         for tab in self._tabs.all():
             if tab.shown is shown:
                 tab.scene.grow(shown)
+            elif tab.shows_beside(shown):
+                tab.scene.trial.grow(shown)
         self._scene_at[shown.name] = (time.monotonic(), shown.window_count)
 
     def _look_for_sessions(self) -> None:

@@ -26,6 +26,7 @@ from dvsviz.view import geometry3d
 from dvsviz.view.images import BACKGROUND, ImageKind, texture_picture
 from dvsviz.view.playback import Drawn
 from dvsviz.view.shown import ShownSession
+from dvsviz.view.trial import TrialScene
 
 _log = logging.getLogger(__name__)
 
@@ -64,9 +65,14 @@ class TabScene:
 
     Args:
         go_to: called with a window when a keyframe is clicked.
+        dragged: called with position (3,) and quaternion wxyz (4,) of the camera that is tried, when it was moved.
     """
 
-    def __init__(self, go_to: Callable[[int], None]) -> None:
+    def __init__(
+        self,
+        go_to: Callable[[int], None],
+        dragged: Callable[[NDArray[np.float64], NDArray[np.float64]], None] = lambda position, wxyz: None,
+    ) -> None:
         self.key = secrets.token_urlsafe(32)
         self._go_to = go_to
         self._lock = threading.RLock()
@@ -91,6 +97,7 @@ class TabScene:
         self._server.initial_camera.position = (0.7, -0.6, -1.1)
         self._server.initial_camera.look_at = (0.0, 0.0, 0.7)
         self._server.initial_camera.fov = _FOV_RAD
+        self.trial = TrialScene(self._server, self._lock, dragged)
 
     def open(self, shown: ShownSession) -> None:
         """Show a session from its first window on."""
@@ -98,6 +105,7 @@ class TabScene:
             for handle in self._handles.values():
                 handle.remove()
             self._handles.clear()
+            self.trial.clear()
             self._shown, self._map, self._image = shown, None, None
             self._keyframe_windows, self._truth_windows = [], -1
             self._look(shown)
