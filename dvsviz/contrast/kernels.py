@@ -124,41 +124,70 @@ def gather(bearings, t_s, weights, points, adjoint, nodes, scale, out):
 
 
 @numba.njit(**_JIT)
-def normal_equations(bearings, t_s, nodes, d_nodes, scale, image, robust, hessian, gradient):
-    """Accumulate Gauss-Newton's normal equations of residuals `1 - image(x(theta))` over events.
+def pose_equations(
+    bearings, t_s, turns, scale, start, R0, p0, velocity, normal, distance, target, image, robust, hessian, gradient
+):
+    """Accumulate Gauss-Newton's normal equations of residuals `1 - image(x(pose))` over events.
 
-    The image is sampled bilinearly, its slope is the exact derivative of the sample. An event outside the image is
-    left out. Residuals are weighted by `robust² / (robust² + r²)` squared (Geman-McClure) where robust > 0.
+    Parameters: rotation (3) by `R0 exp(phi^)` and position (3) by `p0 + R0 rho`, as in `contrast.warp.map_warp`. The
+    point of an event at t is `target (d_t y - p_t (n . y))` with y = R0 E(t) b, p_t = p0 + R0 v t and
+    d_t = distance + n . p_t (eq. 2.11); the derivatives are exact but for E(t), which is interpolated linearly. The
+    image is sampled bilinearly, its slope is the exact derivative of the sample. An event outside the image is left
+    out. Residuals are weighted by `robust² / (robust² + r²)` squared (Geman-McClure) where robust > 0.
 
     Args:
         bearings: (N, 2).
-        t_s: seconds since the first node (N,).
-        nodes: homographies to pixels of `image` (M, 3, 3).
-        d_nodes: their derivatives (P, M, 3, 3).
+        t_s: seconds since `start` (N,).
+        turns: rotations E (M, 3, 3), from the camera at each node to the camera at the pose.
         scale: nodes per second.
+        start: time of the first node relative to the pose.
+        R0: rotation (3, 3) of the pose, world from camera.
+        p0: its position (3,).
+        velocity: (3,), camera frame at the pose, held.
+        normal: of the plane (3,), world.
+        distance: of the plane.
+        target: (3, 3) from the world's plane points to pixels of `image`.
         image: values in [0, 1] (rows, columns).
         robust: scale of the robust weight, 0 for none.
-        hessian: (P, P), added to in place.
-        gradient: (P,), J^T w r, added to in place.
+        hessian: (6, 6), added to in place.
+        gradient: (6,), J^T w r, added to in place.
 
     Returns:
         Sum of image values at the events inside, and their number.
     """
     rows, cols = image.shape
-    m, p_count = nodes.shape[0], d_nodes.shape[0]
-    j = np.empty(p_count)
+    m = turns.shape[0]
+    j = np.empty(6)
+    n0, n1, n2 = normal[0], normal[1], normal[2]
+    # The normal in the camera frame of the pose, and the velocity in the world.
+    k0 = R0[0, 0] * n0 + R0[1, 0] * n1 + R0[2, 0] * n2
+    k1 = R0[0, 1] * n0 + R0[1, 1] * n1 + R0[2, 1] * n2
+    k2 = R0[0, 2] * n0 + R0[1, 2] * n1 + R0[2, 2] * n2
+    w0 = R0[0, 0] * velocity[0] + R0[0, 1] * velocity[1] + R0[0, 2] * velocity[2]
+    w1 = R0[1, 0] * velocity[0] + R0[1, 1] * velocity[1] + R0[1, 2] * velocity[2]
+    w2 = R0[2, 0] * velocity[0] + R0[2, 1] * velocity[1] + R0[2, 2] * velocity[2]
     total, inside = 0.0, 0
     for i in range(bearings.shape[0]):
-        x, y = bearings[i, 0], bearings[i, 1]
+        bx, by = bearings[i, 0], bearings[i, 1]
         k, f = _node(t_s[i], scale, m)
         g = 1.0 - f
-        a, b = nodes[k], nodes[k + 1]
-        px = (g * a[0, 0] + f * b[0, 0]) * x + (g * a[0, 1] + f * b[0, 1]) * y + g * a[0, 2] + f * b[0, 2]
-        py = (g * a[1, 0] + f * b[1, 0]) * x + (g * a[1, 1] + f * b[1, 1]) * y + g * a[1, 2] + f * b[1, 2]
-        pz = (g * a[2, 0] + f * b[2, 0]) * x + (g * a[2, 1] + f * b[2, 1]) * y + g * a[2, 2] + f * b[2, 2]
+        a, b = turns[k], turns[k + 1]
+        e0 = (g * a[0, 0] + f * b[0, 0]) * bx + (g * a[0, 1] + f * b[0, 1]) * by + g * a[0, 2] + f * b[0, 2]
+        e1 = (g * a[1, 0] + f * b[1, 0]) * bx + (g * a[1, 1] + f * b[1, 1]) * by + g * a[1, 2] + f * b[1, 2]
+        e2 = (g * a[2, 0] + f * b[2, 0]) * bx + (g * a[2, 1] + f * b[2, 1]) * by + g * a[2, 2] + f * b[2, 2]
+        y0 = R0[0, 0] * e0 + R0[0, 1] * e1 + R0[0, 2] * e2
+        y1 = R0[1, 0] * e0 + R0[1, 1] * e1 + R0[1, 2] * e2
+        y2 = R0[2, 0] * e0 + R0[2, 1] * e1 + R0[2, 2] * e2
+        t = start + t_s[i]
+        p_0, p_1, p_2 = p0[0] + w0 * t, p0[1] + w1 * t, p0[2] + w2 * t
+        d = distance + n0 * p_0 + n1 * p_1 + n2 * p_2
+        ny = n0 * y0 + n1 * y1 + n2 * y2
+        x0, x1, x2 = d * y0 - p_0 * ny, d * y1 - p_1 * ny, d * y2 - p_2 * ny
+        pz = target[2, 0] * x0 + target[2, 1] * x1 + target[2, 2] * x2
         if pz <= 1e-6:
             continue
-        u, v = px / pz, py / pz
+        u = (target[0, 0] * x0 + target[0, 1] * x1 + target[0, 2] * x2) / pz
+        v = (target[1, 0] * x0 + target[1, 1] * x1 + target[1, 2] * x2) / pz
         if not (u >= 0.0 and v >= 0.0 and u < cols - 1 and v < rows - 1):
             continue
         c, r = int(u), int(v)
@@ -166,8 +195,8 @@ def normal_equations(bearings, t_s, nodes, d_nodes, scale, image, robust, hessia
         v00, v01 = image[r, c], image[r, c + 1]
         v10, v11 = image[r + 1, c], image[r + 1, c + 1]
         value = (1 - fy) * ((1 - fx) * v00 + fx * v01) + fy * ((1 - fx) * v10 + fx * v11)
-        gx = (1 - fy) * (v01 - v00) + fy * (v11 - v10)
-        gy = (1 - fx) * (v10 - v00) + fx * (v11 - v01)
+        gx = ((1 - fy) * (v01 - v00) + fy * (v11 - v10)) / pz
+        gy = ((1 - fx) * (v10 - v00) + fx * (v11 - v01)) / pz
         total += value
         inside += 1
         res = 1.0 - value
@@ -175,20 +204,32 @@ def normal_equations(bearings, t_s, nodes, d_nodes, scale, image, robust, hessia
         if robust > 0.0:
             w = robust * robust / (robust * robust + res * res)
             w *= w
-        a0, a1 = gx / pz, gy / pz
-        a2 = -(gx * u + gy * v) / pz
-        for q in range(p_count):
-            lo, hi = d_nodes[q, k], d_nodes[q, k + 1]
-            s0 = (g * lo[0, 0] + f * hi[0, 0]) * x + (g * lo[0, 1] + f * hi[0, 1]) * y + g * lo[0, 2] + f * hi[0, 2]
-            s1 = (g * lo[1, 0] + f * hi[1, 0]) * x + (g * lo[1, 1] + f * hi[1, 1]) * y + g * lo[1, 2] + f * hi[1, 2]
-            s2 = (g * lo[2, 0] + f * hi[2, 0]) * x + (g * lo[2, 1] + f * hi[2, 1]) * y + g * lo[2, 2] + f * hi[2, 2]
-            j[q] = -(a0 * s0 + a1 * s1 + a2 * s2)
-        for q in range(p_count):
+        if gx == 0.0 and gy == 0.0:
+            continue
+        # Slope of the image by the point x: s = (gx, gy, -(gx u + gy v)) target.
+        gz = -(gx * u + gy * v)
+        s0 = gx * target[0, 0] + gy * target[1, 0] + gz * target[2, 0]
+        s1 = gx * target[0, 1] + gy * target[1, 1] + gz * target[2, 1]
+        s2 = gx * target[0, 2] + gy * target[1, 2] + gz * target[2, 2]
+        # By the position: (n . dp) (s . y) - (s . dp) (n . y), in the camera frame of the pose.
+        sy = s0 * y0 + s1 * y1 + s2 * y2
+        c0 = R0[0, 0] * s0 + R0[1, 0] * s1 + R0[2, 0] * s2
+        c1 = R0[0, 1] * s0 + R0[1, 1] * s1 + R0[2, 1] * s2
+        c2 = R0[0, 2] * s0 + R0[1, 2] * s1 + R0[2, 2] * s2
+        q0, q1, q2 = k0 * sy - c0 * ny, k1 * sy - c1 * ny, k2 * sy - c2 * ny
+        # By the rotation: dy = R0 (phi x e), and the position turns by phi x v t.
+        sp = s0 * p_0 + s1 * p_1 + s2 * p_2
+        r0, r1, r2 = d * c0 - sp * k0, d * c1 - sp * k1, d * c2 - sp * k2
+        j[0] = -(e1 * r2 - e2 * r1 + t * (velocity[1] * q2 - velocity[2] * q1))
+        j[1] = -(e2 * r0 - e0 * r2 + t * (velocity[2] * q0 - velocity[0] * q2))
+        j[2] = -(e0 * r1 - e1 * r0 + t * (velocity[0] * q1 - velocity[1] * q0))
+        j[3], j[4], j[5] = -q0, -q1, -q2
+        for q in range(6):
             wj = w * j[q]
             gradient[q] += wj * res
             for s in range(q + 1):
                 hessian[q, s] += wj * j[s]
-    for q in range(p_count):
+    for q in range(6):
         for s in range(q):
             hessian[s, q] = hessian[q, s]
     return total, inside
@@ -210,6 +251,133 @@ def sample(points, image, outside):
             (1 - fx) * image[r + 1, c] + fx * image[r + 1, c + 1]
         )
     return out
+
+
+@numba.njit(**_JIT)
+def contrasts(bearings, t_s, weights, nodes, scale, image, smooth, sloped, out):
+    """Write the contrast of the same events under several warps.
+
+    Each image is smoothed by the binomial kernel (1, 2, 1) / 4 in x and y (sigma 0.7 px): single votes would make the
+    contrast rough from warp to warp.
+
+    Args:
+        bearings: (N, 2).
+        t_s: seconds since the first node (N,).
+        weights: (N,) or (1,).
+        nodes: homographies to pixels (C, M, 3, 3), one set a warp.
+        scale: nodes per second.
+        image: scratch (rows, columns).
+        smooth: scratch (rows, columns).
+        sloped: False for the variance, True for the mean squared gradient.
+        out: (C,), written.
+    """
+    rows, cols = image.shape
+    m = nodes.shape[1]
+    one = weights.shape[0] == 1
+    line = np.empty(cols, dtype=np.float32)
+    for w in range(nodes.shape[0]):
+        image[:] = 0.0
+        for i in range(bearings.shape[0]):
+            x, y = bearings[i, 0], bearings[i, 1]
+            k, f = _node(t_s[i], scale, m)
+            a, b = nodes[w, k], nodes[w, k + 1]
+            g = 1.0 - f
+            pz = (g * a[2, 0] + f * b[2, 0]) * x + (g * a[2, 1] + f * b[2, 1]) * y + g * a[2, 2] + f * b[2, 2]
+            if pz <= 1e-6:
+                continue
+            u = ((g * a[0, 0] + f * b[0, 0]) * x + (g * a[0, 1] + f * b[0, 1]) * y + g * a[0, 2] + f * b[0, 2]) / pz
+            v = ((g * a[1, 0] + f * b[1, 0]) * x + (g * a[1, 1] + f * b[1, 1]) * y + g * a[1, 2] + f * b[1, 2]) / pz
+            if not (u >= 0.0 and v >= 0.0 and u < cols - 1 and v < rows - 1):
+                continue
+            s = weights[0] if one else weights[i]
+            c, r = int(u), int(v)
+            fx, fy = u - c, v - r
+            image[r, c] += s * (1 - fx) * (1 - fy)
+            image[r, c + 1] += s * fx * (1 - fy)
+            image[r + 1, c] += s * (1 - fx) * fy
+            image[r + 1, c + 1] += s * fx * fy
+        for r in range(rows):
+            up, down = max(r - 1, 0), min(r + 1, rows - 1)
+            for c in range(cols):
+                line[c] = 0.25 * (image[up, c] + 2 * image[r, c] + image[down, c])
+            smooth[r, 0], smooth[r, cols - 1] = line[0], line[cols - 1]
+            for c in range(1, cols - 1):
+                smooth[r, c] = 0.25 * (line[c - 1] + 2 * line[c] + line[c + 1])
+        total, squares = 0.0, 0.0
+        if sloped:
+            for r in range(1, rows - 1):
+                for c in range(1, cols - 1):
+                    dx = smooth[r, c + 1] - smooth[r, c - 1]
+                    dy = smooth[r + 1, c] - smooth[r - 1, c]
+                    squares += dx * dx + dy * dy
+            squares *= 0.25
+        else:
+            for r in range(rows):
+                for c in range(cols):
+                    total += smooth[r, c]
+                    squares += smooth[r, c] * smooth[r, c]
+        size = rows * cols
+        out[w] = squares / size - (total / size) ** 2
+
+
+@numba.njit(**_JIT)
+def means_on(bearings, t_s, nodes, scale, image, out, inside):
+    """Write the mean of an image at the same events under several warps, and the share of events inside it.
+
+    Args:
+        bearings: (N, 2).
+        t_s: seconds since the first node (N,).
+        nodes: homographies to pixels of `image` (C, M, 3, 3), one set a warp.
+        scale: nodes per second.
+        image: (rows, columns), sampled bilinearly.
+        out: means (C,), written; 0 where no event is inside.
+        inside: shares (C,), written.
+    """
+    rows, cols = image.shape
+    m, n = nodes.shape[1], bearings.shape[0]
+    for w in range(nodes.shape[0]):
+        total, count = 0.0, 0
+        for i in range(n):
+            x, y = bearings[i, 0], bearings[i, 1]
+            k, f = _node(t_s[i], scale, m)
+            a, b = nodes[w, k], nodes[w, k + 1]
+            g = 1.0 - f
+            pz = (g * a[2, 0] + f * b[2, 0]) * x + (g * a[2, 1] + f * b[2, 1]) * y + g * a[2, 2] + f * b[2, 2]
+            if pz <= 1e-6:
+                continue
+            u = ((g * a[0, 0] + f * b[0, 0]) * x + (g * a[0, 1] + f * b[0, 1]) * y + g * a[0, 2] + f * b[0, 2]) / pz
+            v = ((g * a[1, 0] + f * b[1, 0]) * x + (g * a[1, 1] + f * b[1, 1]) * y + g * a[1, 2] + f * b[1, 2]) / pz
+            if not (u >= 0.0 and v >= 0.0 and u < cols - 1 and v < rows - 1):
+                continue
+            c, r = int(u), int(v)
+            fx, fy = u - c, v - r
+            total += (1 - fy) * ((1 - fx) * image[r, c] + fx * image[r, c + 1]) + fy * (
+                (1 - fx) * image[r + 1, c] + fx * image[r + 1, c + 1]
+            )
+            count += 1
+        out[w] = total / count if count > 0 else 0.0
+        inside[w] = count / n if n > 0 else 0.0
+
+
+@numba.njit(**_JIT)
+def occupied(x_px, y_px, starts, stamps, out):
+    """Write how many pixels have at least one event, for each of several windows.
+
+    Args:
+        x_px: columns of all events (N,).
+        y_px: their rows (N,).
+        starts: index of each window's first event, and the end of the last (W + 1,).
+        stamps: scratch (rows, columns) int64 of -1.
+        out: (W,), written.
+    """
+    for w in range(out.shape[0]):
+        count = 0
+        for i in range(starts[w], starts[w + 1]):
+            r, c = y_px[i], x_px[i]
+            if stamps[r, c] != w:
+                stamps[r, c] = w
+                count += 1
+        out[w] = count
 
 
 def node_count(rotation_rad: float) -> int:

@@ -7,6 +7,7 @@ a wall straight ahead has normal (0, 0, -1) (equations, "Planar warp").
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,13 +44,20 @@ def rotation_to_map(normal_world: Array) -> Array:
     Raises:
         ValueError: the normal is (0, 0, 1), where the rotation is not defined.
     """
-    n = np.asarray(normal_world, dtype=np.float64)
+    return _rotation_to_map(tuple(np.asarray(normal_world, dtype=np.float64).tolist()))
+
+
+@lru_cache(maxsize=64)
+def _rotation_to_map(normal_world: tuple[float, ...]) -> Array:
+    n = np.array(normal_world)
     z = np.array([0.0, 0.0, -1.0])
     c = 1.0 + n @ z
     if c < 1e-9:
         raise ValueError("normal_world: expected a plane that faces the first camera, got (0, 0, 1)")
     K = se3.hat(np.cross(n, z))
-    return np.eye(3) + K + K @ K / c
+    R = np.eye(3) + K + K @ K / c
+    R.flags.writeable = False
+    return R
 
 
 def tangent_basis(normal: Array) -> Array:

@@ -12,16 +12,17 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from dvsviz.contrast.kernels import normal_equations
+from dvsviz.contrast.kernels import pose_equations
 from dvsviz.geometry import se3
 from dvsviz.geometry.plane import rotation_to_map
 from dvsviz.tracking import constants as c
+from dvsviz.tracking.kernels import exp_rotation
 from dvsviz.tracking.planar_map import PlanarMap
 
 Array = NDArray[np.float64]
 
-# Nodes a window: the homography is interpolated linearly between them; 4 intervals keep a turn of 0.1 rad in one
-# window exact to 1e-4 rad.
+# Nodes a window: its rotation is interpolated linearly between them; 4 intervals keep a turn of 0.1 rad in one window
+# exact to 1e-4 rad.
 _NODES = 5
 
 
@@ -139,83 +140,6 @@ def default_prior() -> Array:
 
 
 @numba.njit(cache=True, nogil=True)
-def exp_rotation(v):
-    """Return exp(v^) (3, 3) of one rotation vector (3,): `se3.exp_so3` inside kernels."""
-    a2 = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
-    if a2 < 1e-10:
-        s, k = 1.0 - a2 / 6.0, 0.5 - a2 / 24.0
-    else:
-        a = np.sqrt(a2)
-        s, k = np.sin(a) / a, (1.0 - np.cos(a)) / a2
-    x, y, z = v[0], v[1], v[2]
-    out = np.empty((3, 3))
-    out[0, 0], out[0, 1], out[0, 2] = 1 - k * (y * y + z * z), k * x * y - s * z, k * x * z + s * y
-    out[1, 0], out[1, 1], out[1, 2] = k * x * y + s * z, 1 - k * (x * x + z * z), k * y * z - s * x
-    out[2, 0], out[2, 1], out[2, 2] = k * x * z - s * y, k * y * z + s * x, 1 - k * (x * x + y * y)
-    return out
-
-
-@numba.njit(cache=True, nogil=True)
-def map_nodes(R0, p0, omega, velocity, normal, distance, target, start, duration, nodes, d_nodes):
-    """Write the homographies (M, 3, 3) and derivatives (6, M, 3, 3) of `contrast.warp.map_warp`, without allocating.
-
-    `target` is the projection to cells times the rotation to the map, its last row divided by the distance.
-    """
-    m = nodes.shape[0]
-    v_world = R0 @ velocity
-    step = np.empty((3, 3))
-    for k in range(m):
-        t = start + duration * k / (m - 1)
-        E = exp_rotation(omega * t)
-        R = R0 @ E
-        position = p0 + v_world * t
-        n_c = normal @ R
-        d_c = distance + position @ normal
-        for a in range(3):
-            for b in range(3):
-                step[a, b] = d_c * R[a, b] - position[a] * n_c[b]
-        H = target @ step
-        nodes[k] = H
-        for i in range(3):
-            # dp by the position along R0 e_i; the rotation turns R0 v t as well.
-            for kind in range(2):
-                if kind == 0:
-                    dx = R0[0, i]
-                    dy = R0[1, i]
-                    dz = R0[2, i]
-                else:
-                    # R0 (e_i x v) t
-                    cx = 0.0
-                    cy = 0.0
-                    cz = 0.0
-                    if i == 0:
-                        cy, cz = -velocity[2], velocity[1]
-                    elif i == 1:
-                        cx, cz = velocity[2], -velocity[0]
-                    else:
-                        cx, cy = -velocity[1], velocity[0]
-                    dx = (R0[0, 0] * cx + R0[0, 1] * cy + R0[0, 2] * cz) * t
-                    dy = (R0[1, 0] * cx + R0[1, 1] * cy + R0[1, 2] * cz) * t
-                    dz = (R0[2, 0] * cx + R0[2, 1] * cy + R0[2, 2] * cz) * t
-                dn = dx * normal[0] + dy * normal[1] + dz * normal[2]
-                for b in range(3):
-                    step[0, b] = dn * R[0, b] - dx * n_c[b]
-                    step[1, b] = dn * R[1, b] - dy * n_c[b]
-                    step[2, b] = dn * R[2, b] - dz * n_c[b]
-                D = target @ step
-                if kind == 0:
-                    d_nodes[3 + i, k] = D
-                else:
-                    # H (E^T e_i)^
-                    w0, w1, w2 = E[i, 0], E[i, 1], E[i, 2]
-                    for a in range(3):
-                        h0, h1, h2 = H[a, 0], H[a, 1], H[a, 2]
-                        d_nodes[i, k, a, 0] = h1 * w2 - h2 * w1 + D[a, 0]
-                        d_nodes[i, k, a, 1] = h2 * w0 - h0 * w2 + D[a, 1]
-                        d_nodes[i, k, a, 2] = h0 * w1 - h1 * w0 + D[a, 2]
-
-
-@numba.njit(cache=True, nogil=True)
 def _descend(
     image,
     bearings,
@@ -239,17 +163,31 @@ def _descend(
     information,
 ):
     """Take up to `limit` damped Gauss-Newton steps on one level, moving R and p in place."""
-    nodes = np.empty((_NODES, 3, 3))
-    d_nodes = np.empty((6, _NODES, 3, 3))
+    turns = np.empty((_NODES, 3, 3))
+    for k in range(_NODES):
+        turns[k] = exp_rotation(omega * (start + duration * k / (_NODES - 1)))
     hessian, gradient = np.zeros((6, 6)), np.zeros(6)
     scale = (_NODES - 1) / duration
     total, inside, taken, step_px = 0.0, 0, 0, 0.0
     for _ in range(limit):
-        map_nodes(R, p, omega, velocity, normal, distance, target, start, duration, nodes, d_nodes)
         hessian[:] = 0.0
         gradient[:] = 0.0
-        total, inside = normal_equations(
-            bearings, t_rel, nodes, d_nodes, scale, image, c.ALIGN_ROBUST, hessian, gradient
+        total, inside = pose_equations(
+            bearings,
+            t_rel,
+            turns,
+            scale,
+            start,
+            R,
+            p,
+            velocity,
+            normal,
+            distance,
+            target,
+            image,
+            c.ALIGN_ROBUST,
+            hessian,
+            gradient,
         )
         information[:] = hessian
         A = hessian + prior * c.RESIDUAL_VARIANCE

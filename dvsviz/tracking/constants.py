@@ -45,6 +45,11 @@ EXPOSURE_CELL_PX: Final = 8
 FREEZE_DISPLACEMENT_PX: Final = 120.0
 # Margin by which the map grows, px.
 MAP_MARGIN_PX: Final = 128
+# Events of a window that tell how far the map must reach.
+COVER_EVENTS: Final = 200
+# Windows a map has, from which on its density is measured anew only every so many windows.
+DENSITY_AFTER: Final = 32
+DENSITY_EVERY: Final = 8
 # Largest map, cells: 16 million cells are 64 MB a layer.
 MAP_MAX_CELLS: Final = 16_000_000
 

@@ -7,13 +7,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dvsviz.contrast.kernels import sample
 from dvsviz.geometry.camera import Camera
 from dvsviz.geometry.plane import homography_map_camera
 from dvsviz.tracking import constants as c
+from dvsviz.tracking.kernels import explained_share, footprint_mean
+from dvsviz.tracking.measure import WindowImages
 from dvsviz.tracking.planar_map import PlanarMap
 
 Array = NDArray[np.float64]
+
+_FOOTPRINT_COLUMNS = 48
+_OVERLAP_PIXELS = 20
 
 _AXES = (
     "rotation about x (pitch)",
@@ -81,16 +85,18 @@ def agreement(planar_map: PlanarMap, value: float, T_world_camera: Array, camera
         T_world_camera: pose (4, 4).
         camera: gives the footprint.
     """
-    points = footprint(planar_map, T_world_camera, camera)
-    values = sample(points, planar_map.pyramid()[-1], -1.0)
-    cells = np.full(len(points), -1.0, dtype=np.float32)
-    ok = values >= 0
-    if ok.any():
-        block = points[ok].astype(np.int64) // c.EXPOSURE_CELL_PX
-        cells[ok] = planar_map.exposure[block[:, 1], block[:, 0]]
-    seen = cells > 0
-    chance = float(values[seen].mean()) if seen.any() else 0.0
-    return Agreement(score=(value - chance) / max(1e-3, 1.0 - chance), chance=chance, inside=float(seen.mean()))
+    H = planar_map.projection @ homography_map_camera(T_world_camera, planar_map.plane)
+    chance, inside = footprint_mean(
+        planar_map.pyramid()[-1],
+        planar_map.exposure,
+        c.EXPOSURE_CELL_PX,
+        H,
+        camera.matrix,
+        camera.width,
+        camera.height,
+        _FOOTPRINT_COLUMNS,
+    )
+    return Agreement(score=(value - chance) / max(1e-3, 1.0 - chance), chance=chance, inside=inside)
 
 
 def footprint(
@@ -107,26 +113,20 @@ def footprint(
     return cells.astype(np.float32)
 
 
-def overlap(planar_map: PlanarMap, image: NDArray[np.float32], T_world_camera: Array, camera: Camera) -> float:
-    """Return the share of a window's edge pixels that the map explains (section 2.2.3).
+def overlap(planar_map: PlanarMap, images: WindowImages, T_world_camera: Array, camera: Camera) -> float:
+    """Return the share of a window's edge pixels that the map explains (section 2.2.3); NaN where there are few.
 
     Args:
         planar_map: the map.
-        image: IWE (height, width) of the window at its motion, all weights 1, referred to the pose's time.
-        T_world_camera: pose (4, 4) of the image.
-        camera: of the image.
+        images: the window's, at the time of the pose.
+        T_world_camera: pose (4, 4).
+        camera: of the images.
     """
-    occupied = image[image > 0]
-    if len(occupied) == 0:
-        return float("nan")
-    # An edge pixel holds clearly more than a scattered event.
-    rows, cols = np.nonzero(image > max(1.5, 0.5 * float(np.percentile(occupied, 90))))
-    if len(rows) < 20:
-        return float("nan")
-    q = np.column_stack([(cols - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, np.ones(len(rows))])
-    p = q @ (planar_map.projection @ homography_map_camera(T_world_camera, planar_map.plane)).T
-    values = sample((p[:, :2] / p[:, 2:]).astype(np.float32), planar_map.pyramid()[-1], 0.0)
-    return float((values > c.OVERLAP_EDGE).mean())
+    H = planar_map.projection @ homography_map_camera(T_world_camera, planar_map.plane)
+    share, count = explained_share(
+        images.warped, images.edge_level, planar_map.pyramid()[-1], H, camera.matrix, c.OVERLAP_EDGE
+    )
+    return share if count >= _OVERLAP_PIXELS else float("nan")
 
 
 def weakest(information: Array, free: NDArray[np.bool_]) -> tuple[float, Array]:

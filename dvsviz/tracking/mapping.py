@@ -210,6 +210,7 @@ class Mapper:
         for trace in self.traces:
             add_to_map(rebuilt, trace, self._sensor, self.camera.matrix)
         rebuilt.freeze_px = c.FREEZE_DISPLACEMENT_PX
+        rebuilt.settle()
         self.map = rebuilt
         if not realign:
             return

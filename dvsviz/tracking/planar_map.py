@@ -30,6 +30,8 @@ class PlanarMap:
         votes: events that fell on each cell (rows, columns).
         exposure: image displacement, px, that has swept each block of cells (rows / b, columns / b).
         freeze_px: a block swept by more is no longer written.
+        adds: windows that were added.
+        density: 90th percentile of the rates of occupied cells, measured now and then.
     """
 
     def __init__(
@@ -44,6 +46,9 @@ class PlanarMap:
         self.votes: Image = np.zeros((rows, cols), dtype=np.float32)
         self.exposure: Image = np.zeros((rows // b, cols // b), dtype=np.float32)
         self._levels: list[Image] = []
+        self.adds = 0
+        self.density = 0.0
+        self._is_density_due = True
         self._p90 = 0.0
         self._dirty: tuple[int, int, int, int] | None = (0, 0, rows, cols)
 
@@ -101,6 +106,8 @@ class PlanarMap:
             K: the camera's calibration (3, 3).
             weight: events that each point stands for.
         """
+        self.adds += 1
+        self._is_density_due |= self.adds <= c.DENSITY_AFTER or self.adds % c.DENSITY_EVERY == 0
         frozen_vote(points, self.votes, self.exposure, c.EXPOSURE_CELL_PX, self.freeze_px, weight)
         box = add_exposure(
             self.exposure,
@@ -126,7 +133,10 @@ class PlanarMap:
         if not self._levels:
             self._levels = [np.zeros_like(self.votes) for _ in c.ALIGN_BLURS_PX]
         rows, cols = self.votes.shape
-        p90 = self._density()
+        if self._is_density_due:
+            self.density = occupied_percentile(self.votes, self.exposure, c.EXPOSURE_CELL_PX, 0.9)
+            self._is_density_due = False
+        p90 = self.density
         # Another saturation changes every cell: the levels depend on the votes alone, not on when they were asked for.
         r0, c0, r1, c1 = (self._dirty if p90 == self._p90 else None) or (0, 0, rows, cols)
         self._p90 = p90
@@ -146,8 +156,11 @@ class PlanarMap:
         self._dirty = None
         return self._levels
 
-    def _density(self) -> float:
-        return occupied_percentile(self.votes, self.exposure, c.EXPOSURE_CELL_PX, 0.9)
+    def settle(self, adds: int | None = None, density: float | None = None) -> None:
+        """Measure the density anew when it is next asked for; or take over a stored count of windows and density."""
+        self._is_density_due = density is None
+        if adds is not None and density is not None:
+            self.adds, self.density = adds, density
 
     def _edge(self, r0: int, c0: int, r1: int, c1: int) -> Image:
         """Return M (eq. above) of a block of cells."""

@@ -23,7 +23,7 @@ from dvsviz.tracking.planar_map import PlanarMap
 from dvsviz.tracking.traces import Trace
 
 Array = NDArray[np.float64]
-_VERSION = 1
+_VERSION = 2
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
@@ -105,7 +105,9 @@ def pack(motion: Motion, mapper: Mapper) -> dict[str, np.ndarray]:
             "map_votes": mapper.map.votes.copy(),
             "map_exposure": mapper.map.exposure.copy(),
             "map_origin": mapper.map.origin,
-            "map_numbers": np.array([mapper.map.px_per_unit, mapper.map.freeze_px]),
+            "map_numbers": np.array(
+                [mapper.map.px_per_unit, mapper.map.freeze_px, mapper.map.adds, mapper.map.density]
+            ),
         }
     return state
 
@@ -150,7 +152,7 @@ def unpack(
                     )
                 )
         if "map_votes" in state:
-            scale, freeze = (float(v) for v in state["map_numbers"])
+            scale, freeze, adds, density = (float(v) for v in state["map_numbers"])
             votes = np.array(state["map_votes"], dtype=np.float32)
             mapper.map = PlanarMap(
                 mapper.plane,
@@ -161,6 +163,7 @@ def unpack(
             )
             mapper.map.votes = votes
             mapper.map.exposure = np.array(state["map_exposure"], dtype=np.float32)
+            mapper.map.settle(int(adds), density)
         return Motion(
             T_world_camera=np.array(state["T_world_camera"]),
             t_us=t_us,

@@ -98,7 +98,7 @@ class Tracker:
         judged = self._judge(trace, alignment, images)
         if judged.note:
             note = judged.note
-        overlap = diagnose.overlap(self._mapper.live_map, images.warped, trace.T_world_camera, self.camera)
+        overlap = diagnose.overlap(self._mapper.live_map, images, trace.T_world_camera, self.camera)
         used = self._mapper.revision
         failed = self._failures.observe(
             window.index, self._motion.status, judged.score, self._cause(judged, images, alignment, trace)
