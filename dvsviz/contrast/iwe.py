@@ -22,11 +22,18 @@ def sample_window(window: EventWindow, most: int, seed: int) -> tuple[NDArray[np
     t_s = window.t_s
     if len(window) <= most:
         return window.bearings, t_s
+    pick = sample_indices(window, most, seed)
+    return window.bearings[pick], t_s[pick]
+
+
+def sample_indices(window: EventWindow, most: int, seed: int) -> NDArray[np.int64]:
+    """Return which events (N,) of a window `sample_window` takes, increasing."""
+    if len(window) <= most:
+        return np.arange(len(window))
     rng = np.random.default_rng((seed, window.index))
     # One event of each of `most` equal runs: in order without a sort, and spread over the whole window.
     edges = np.linspace(0, len(window), most + 1)
-    pick = (edges[:-1] + rng.random(most) * np.diff(edges)).astype(np.int64)
-    return window.bearings[pick], t_s[pick]
+    return (edges[:-1] + rng.random(most) * np.diff(edges)).astype(np.int64)
 
 
 def warp_points(bearings: NDArray[np.float32], t_s: NDArray[np.float64], warp: Warp) -> NDArray[np.float32]:

@@ -19,6 +19,7 @@ from dvsviz.gateway.messages import pack_images
 from dvsviz.gateway.trial import KINDS, dragged, obey
 from dvsviz.view.cache import ImageCache
 from dvsviz.view.images import LONGEST_MS, MOST_WINDOWS, ImageKind, ImageOptions
+from dvsviz.view.landscape import LandscapeWish, LandscapeWorker, Objective
 from dvsviz.view.moving import Polarities
 from dvsviz.view.playback import Drawn, Renderer, Seek
 from dvsviz.view.scene import TabScene
@@ -49,6 +50,7 @@ class Tab:
         self._library, self._cache = library, cache
         self._loop: asyncio.AbstractEventLoop | None = None
         self._renderer: Renderer | None = None
+        self._landscape: LandscapeWorker | None = None
         # What waits to be sent, by slot: a newer message takes the place of one that was not sent.
         self._slots: dict[str, str | bytes] = {}
         self._sent: dict[str, Future[None]] = {}
@@ -87,6 +89,9 @@ class Tab:
             renderer, self._renderer = self._renderer, None
             if renderer is not None:
                 renderer.mailbox.close()
+            worker, self._landscape = self._landscape, None
+            if worker is not None:
+                worker.mailbox.close()
             if sender is not None:
                 sender.cancel()
             with self._slots_lock:
@@ -120,6 +125,8 @@ class Tab:
                 await self._seek(message)
             elif kind == "open":
                 await self._open(str(message["session"]))
+            elif kind == "landscape":
+                await self._wish_landscape(message)
             elif kind in KINDS:
                 await obey(message, self.shown, self._library, self.scene.trial)
             elif kind == "layers":
@@ -165,7 +172,29 @@ class Tab:
         if not self._renderer.is_alive():
             # An error nobody thought of ended it: this tab goes on, and the traceback is in the log.
             self._renderer = self._new_renderer()
+        if self._landscape is not None:
+            self._landscape.moved(shown, seek.window)
         self._renderer.mailbox.put(seek)
+
+    async def _wish_landscape(self, message: dict[str, Any]) -> None:
+        """Have the landscape of a window computed in the background; the answer is a message of its own."""
+        shown = await self._open(str(message["session"]))
+        first, second = (int(axis) for axis in message["axes"])
+        wish = LandscapeWish(
+            shown=shown,
+            window=min(max(0, int(message["window"])), shown.window_count - 1),
+            request=int(message["request"]),
+            objective=Objective(message["objective"]),
+            axes=(first, second),
+            zoom=min(max(0.05, float(message.get("zoom", 1.0))), 20.0),
+        )
+        if self._landscape is None or not self._landscape.is_alive():
+            self._landscape = LandscapeWorker(
+                f"landscape {self.name}",
+                lambda answer: self.tell({"type": "landscape", **answer}, "landscape"),
+            )
+            self._landscape.start()
+        self._landscape.want(wish)
 
     def _send_images(self, drawn: Drawn) -> None:
         """Send images and wait until they are handed to the network; from the renderer's thread."""

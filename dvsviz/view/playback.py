@@ -10,7 +10,7 @@ import logging
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Generic, Protocol, TypeVar
 
 from dvsviz.errors import DvsvizError
 from dvsviz.view.cache import EncodedImage, ImageCache
@@ -64,36 +64,39 @@ class Drawn:
     values: dict[str, Any]
 
 
-class Mailbox:
-    """One slot for a seek: putting replaces what was not taken yet."""
+Wish = TypeVar("Wish")
+
+
+class Mailbox(Generic[Wish]):
+    """One slot for a wish: putting replaces what was not taken yet."""
 
     def __init__(self) -> None:
         self._condition = threading.Condition()
-        self._seek: Seek | None = None
+        self._wish: Wish | None = None
         self._closed = False
 
-    def put(self, seek: Seek) -> None:
-        """Leave a seek; it replaces one that was not taken."""
+    def put(self, wish: Wish) -> None:
+        """Leave a wish; it replaces one that was not taken."""
         with self._condition:
-            self._seek = seek
+            self._wish = wish
             self._condition.notify()
 
-    def take(self, timeout_s: float | None = None) -> Seek | None:
-        """Return the seek as soon as there is one; None after the timeout or when the box was closed."""
+    def take(self, timeout_s: float | None = None) -> Wish | None:
+        """Return the wish as soon as there is one; None after the timeout or when the box was closed."""
         with self._condition:
-            self._condition.wait_for(lambda: self._seek is not None or self._closed, timeout_s)
-            seek, self._seek = self._seek, None
-            return seek
+            self._condition.wait_for(lambda: self._wish is not None or self._closed, timeout_s)
+            wish, self._wish = self._wish, None
+            return wish
 
     @property
     def is_empty(self) -> bool:
-        """True where no seek waits."""
-        return self._seek is None
+        """True where no wish waits."""
+        return self._wish is None
 
     def stays_empty(self, seconds: float) -> bool:
-        """Wait, and return True where no seek came."""
+        """Wait, and return True where none came."""
         with self._condition:
-            return not self._condition.wait_for(lambda: self._seek is not None or self._closed, seconds)
+            return not self._condition.wait_for(lambda: self._wish is not None or self._closed, seconds)
 
     @property
     def is_closed(self) -> bool:
@@ -139,7 +142,7 @@ class Renderer(threading.Thread):
         scene: Scene | None,
     ) -> None:
         super().__init__(name=name, daemon=True)
-        self.mailbox = Mailbox()
+        self.mailbox: Mailbox[Seek] = Mailbox()
         self._cache, self._send, self._fail, self._scene = cache, send, fail, scene
         self._last: Seek | None = None
         self._step = 1
