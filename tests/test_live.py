@@ -86,6 +86,10 @@ class Burst:
 
     size = (W, H)
 
+    @property
+    def arrived_s(self) -> float:
+        return time.monotonic()
+
     def __init__(self, *parts: Events) -> None:
         self._parts = list(parts)
 

@@ -39,51 +39,39 @@ class LiveFigures:
         self.used, self.skips = 0, 0
         self.state = StreamState.RECEIVING
         self._lock = threading.Lock()
-        self._offset_s = float("inf")
-        self._arrived_s = 0.0
+        self._unposed: deque[tuple[int, float]] = deque()
         self._arrivals: deque[tuple[float, int]] = deque()
         self._passed, self._passed_used = 0, 0
         self._latencies: list[float] = []
 
-    def arrived(self, count: int, last_us: int) -> None:
-        """Take down that events came just now, the last one at a sensor time."""
-        now = time.monotonic()
+    def arrived(self, count: int, at_s: float) -> None:
+        """Take down that events arrived at a time of the monotonic clock."""
         with self._lock:
             self.received += count
-            # The promptest packet tells how far the clocks are apart; they may drift by 100 ppm.
-            self._offset_s = min(now - last_us * 1e-6, self._offset_s + 1e-4 * (now - self._arrived_s))
-            self._arrived_s = now
-            self._arrivals.append((now, count))
-            while self._arrivals and now - self._arrivals[0][0] > _RATE_S:
+            self._unposed.append((self.received, at_s))
+            self._arrivals.append((at_s, count))
+            while at_s - self._arrivals[0][0] > _RATE_S:
                 self._arrivals.popleft()
 
-    def broke_off(self) -> None:
-        """Take down that the stream was lost; its clock may come back as another one."""
-        with self._lock:
-            self.state = StreamState.LOST
-            self._offset_s = float("inf")
+    def posed(self, end_event: int) -> None:
+        """Take down that the pose of a window is there, whose last event is number `end_event` - 1.
 
-    def posed(self, last_us: int, end_event: int) -> None:
-        """Take down that the pose of a window is there; its latency is the time since its last event was due.
-
-        An event is due when the promptest packet so far would have brought it: what holds it up on the way counts.
-
-        Args:
-            last_us: sensor time of the window's last event.
-            end_event: number of events up to it, the ones left out too.
+        Its latency is the time since that event arrived.
         """
+        now = time.monotonic()
         with self._lock:
-            # Before a stream that was lost has brought anything there is no clock to measure with.
-            if self._offset_s < float("inf"):
-                self._latencies.append(max(0.0, time.monotonic() - (last_us * 1e-6 + self._offset_s)))
+            while self._unposed and self._unposed[0][0] < end_event:
+                self._unposed.popleft()
+            if self._unposed:
+                self._latencies.append(now - self._unposed[0][1])
             self._passed, self._passed_used = end_event, self.used
 
     def now(self) -> dict[str, float | str | None]:
         """Return what is shown while the stream is tracked.
 
-        `lag_s` is the age of the last pose when it was there, `latency_median_ms` and `latency_p95_ms` those of the
-        last windows; `used_share` is of the events that came up to the last window; `events_per_second` came in the
-        last two seconds.
+        `lag_s` is the time from the arrival of the last window's last event to its pose, `latency_median_ms` and
+        `latency_p95_ms` those of the last windows; `used_share` is of the events up to the last window;
+        `events_per_second` are those that arrived in the last two seconds.
         """
         now = time.monotonic()
         with self._lock:

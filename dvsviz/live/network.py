@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 import socket
+import time
 from typing import Any
 
 import numpy as np
@@ -93,6 +94,7 @@ class _Reader:
         if min(width, height) < 1:
             raise LiveError(f"{where} does not say its sensor's size", hint="choose another stream")
         self.size = (int(width), int(height))
+        self.arrived_s = 0.0
 
     def read(self) -> Events | None:
         try:
@@ -107,6 +109,7 @@ class _Reader:
                 if not running:
                     raise ConnectionError("it ended")
                 return None
+            self.arrived_s = time.monotonic()
             rows = np.concatenate(parts)
         except RuntimeError as error:
             raise ConnectionError(" ".join(str(error).split())[:120]) from error

@@ -28,6 +28,11 @@ class Connection(Protocol):
         """Sensor (width, height), px."""
         ...
 
+    @property
+    def arrived_s(self) -> float:
+        """When the events read last arrived, on the monotonic clock (the same for all processes)."""
+        ...
+
     def read(self) -> Events | None:
         """Return the next events, or None where none are there yet.
 
@@ -164,7 +169,7 @@ class LiveEvents:
                         break
                     events = self._connection.read()
                 except ConnectionError as error:
-                    self.figures.broke_off()
+                    self.figures.state = StreamState.LOST
                     self._report(f"the stream was lost ({error}); trying again for {self._retry_s:g} s")
                     self._let_go()
                     continue
@@ -232,7 +237,7 @@ class LiveEvents:
             self._chunks.append((self.received, kept))
             self.received += len(kept)
             self.newest_us = int(kept.t_us[-1])
-            self.figures.arrived(len(kept), self.newest_us)
+            self.figures.arrived(len(kept), now if self._connection is None else self._connection.arrived_s)
             while len(self._chunks) > 1 and self._is_past(*self._chunks[0]):
                 self._chunks.popleft()
             self._changed.notify_all()

@@ -81,7 +81,7 @@ class LiveWindows:
             yield window
             self._slowness.append((time.monotonic() - began) / max(1e-3, window.duration_s))
             first, index = first + n, index + 1
-            figures.posed(int(events.t_us[n - 1]), first)
+            figures.posed(first)
 
     def _most_us(self) -> int:
         """Return the lag beyond which events are left out."""
