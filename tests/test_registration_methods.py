@@ -8,7 +8,7 @@ import pytest
 from dvsviz.errors import ConfigError
 from dvsviz.geometry import se3
 from dvsviz.registration.methods import METHODS, SOURCE_METHODS, method_names, register
-from dvsviz.registration.pnp import _normal
+from dvsviz.registration.pnp import normal_equations
 from dvsviz.registration.records import MatchedPoints, RegistrationConfig, depth_sigma
 
 FOCAL = 500.0
@@ -132,11 +132,11 @@ def test_same_seed_same_answer() -> None:
 def test_refinement_gradient_against_central_differences() -> None:
     matched = scene(noise_px=1.0)
     T = se3.inverse(T_A_B)
-    _, _, gradient = _normal(T, matched, 1.0)
+    _, _, gradient = normal_equations(T, matched, 1.0)
     h = 1e-7
     for k, d in enumerate(np.eye(6) * h):
         moved = [se3.pose(se3.exp_so3(s * d[:3]) @ T[:3, :3], T[:3, 3] + s * d[3:]) for s in (1.0, -1.0)]
-        slope = (_normal(moved[0], matched, 1.0)[0] - _normal(moved[1], matched, 1.0)[0]) / (2 * h)
+        slope = (normal_equations(moved[0], matched, 1.0)[0] - normal_equations(moved[1], matched, 1.0)[0]) / (2 * h)
         assert slope == pytest.approx(gradient[k], rel=1e-4, abs=1e-2)
 
 

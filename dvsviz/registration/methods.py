@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvsviz.errors import ConfigError
+from dvsviz.registration.dense import pnp_dense
 from dvsviz.registration.essential import essential, homography
 from dvsviz.registration.kabsch import kabsch, kabsch_inliers
 from dvsviz.registration.pnp import pnp, pnp_magsac, pnp_refined
@@ -108,6 +109,7 @@ METHODS: dict[str, Method] = {
     "epnp": lambda m, c, s: pnp(m, c, solver=cv2.SOLVEPNP_EPNP),
     "homography": lambda m, c, s: homography(m, c, step_length=s),
     "pnp-refined": lambda m, c, s: pnp_refined(m, c),
+    "pnp-icp": lambda m, c, s: pnp_dense(m, c),
     "kabsch-weighted": lambda m, c, s: kabsch_ransac(m, c, weights="depth"),
     "essential-magsac": lambda m, c, s: essential(m, c, sampler=cv2.USAC_MAGSAC, step_length=s),
     "homography-magsac": lambda m, c, s: homography(m, c, sampler=cv2.USAC_MAGSAC, step_length=s),
@@ -117,6 +119,9 @@ METHODS: dict[str, Method] = {
 # The six of seed 002.
 SOURCE_METHODS = ("essential", "kabsch", "kabsch-essential", "kabsch-pnp", "pnp-iterative", "epnp")
 WITHOUT_DEPTH = frozenset({"none", "essential", "essential-magsac", "homography", "homography-magsac"})
+
+# These look at whole depth images.
+DENSE = frozenset({"pnp-icp"})
 
 
 def method_names(text: str) -> tuple[str, ...]:

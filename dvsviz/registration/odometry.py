@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,11 +11,18 @@ from numpy.typing import NDArray
 
 from dvsviz.geometry import se3
 from dvsviz.geometry.trajectory import Trajectory
+from dvsviz.registration.dense import Surface, surface_of
 from dvsviz.registration.features import FeatureKind, Features, depth_at, detect, match
 from dvsviz.registration.frames import FrameSequence
-from dvsviz.registration.methods import register
+from dvsviz.registration.methods import DENSE, register
 from dvsviz.registration.pose_graph import Edge, optimise
-from dvsviz.registration.records import MatchedPoints, Registration, RegistrationConfig
+from dvsviz.registration.records import (
+    GUESS_SIGMA_PX,
+    IMAGE_SIGMA_PX,
+    MatchedPoints,
+    Registration,
+    RegistrationConfig,
+)
 
 Array = NDArray[np.float64]
 
@@ -84,12 +92,26 @@ class Odometry:
 
 
 class FeatureTable:
-    """Features and depths of a sequence's frames, detected once each, with the seconds it took."""
+    """Features and depths of a sequence's frames, and their matches, found once each, with the seconds it took.
 
-    def __init__(self, sequence: FrameSequence, kind: FeatureKind = "sift") -> None:
+    Args:
+        sequence: the frames.
+        kind: what is detected.
+        clock: what is asked for the time, s: `time.process_time` on a machine that does other things meanwhile.
+    """
+
+    def __init__(
+        self,
+        sequence: FrameSequence,
+        kind: FeatureKind = "sift",
+        clock: Callable[[], float] = time.perf_counter,
+    ) -> None:
         self.sequence = sequence
         self.kind: FeatureKind = kind
+        self.clock = clock
         self._kept: dict[int, tuple[Features, Array, float, float]] = {}
+        self._surfaces: dict[int, tuple[Surface | None, float]] = {}
+        self._matches: dict[tuple[int, int], tuple[NDArray[np.int64], float]] = {}
         camera = sequence.camera
         self.focal_px = (camera.fx + camera.fy) / 2
 
@@ -97,39 +119,53 @@ class FeatureTable:
         """Return features, their depths (N,), seconds of detection, and seconds of depth look-up, of one frame."""
         if frame not in self._kept:
             image = self.sequence.read(frame)
-            start = time.perf_counter()
+            start = self.clock()
             features = detect(image, self.sequence.camera, kind=self.kind)
-            middle = time.perf_counter()
+            middle = self.clock()
             depth = depth_at(image, features.pixels)
-            self._kept[frame] = features, depth, middle - start, time.perf_counter() - middle
+            self._kept[frame] = features, depth, middle - start, self.clock() - middle
         return self._kept[frame]
 
-    def matched(self, a: int, b: int) -> tuple[MatchedPoints, NDArray[np.int64]]:
-        """Return the matched points of two frames, and the feature numbers (M, 2)."""
+    def matched(self, a: int, b: int) -> tuple[MatchedPoints, NDArray[np.int64], float]:
+        """Return the matched points of two frames, the feature numbers (M, 2), and the seconds of matching."""
         (features_a, depth_a, *_), (features_b, depth_b, *_) = self.of(a), self.of(b)
-        pairs = match(features_a, features_b)
+        if (a, b) not in self._matches:
+            start = self.clock()
+            found = match(features_a, features_b)
+            self._matches[a, b] = found, self.clock() - start
+        pairs, seconds = self._matches[a, b]
         points = MatchedPoints(
             bearings_a=features_a.bearings[pairs[:, 0]],
             bearings_b=features_b.bearings[pairs[:, 1]],
             depth_a=depth_a[pairs[:, 0]],
             depth_b=depth_b[pairs[:, 1]],
             focal_px=self.focal_px,
+            image_sigma_px=float(np.hypot(IMAGE_SIGMA_PX, GUESS_SIGMA_PX * self.sequence.camera.is_guess)),
         )
-        return points, pairs
+        return points, pairs, seconds
+
+    def surface(self, frame: int) -> tuple[Surface | None, float]:
+        """Return the surfaces in view of a frame, None without depth, and the seconds it took."""
+        if frame not in self._surfaces:
+            image = self.sequence.read(frame)
+            start = self.clock()
+            found = surface_of(image, self.sequence.camera)
+            self._surfaces[frame] = found, self.clock() - start
+        return self._surfaces[frame]
 
     def step(
         self, a: int, b: int, method: str, config: RegistrationConfig, step_length: float | None = None
     ) -> Step:
         """Return frame b registered against frame a."""
         _, _, features_s, points_s = self.of(b)
-        self.of(a)
-        start = time.perf_counter()
-        points, pairs = self.matched(a, b)
-        middle = time.perf_counter()
+        points, pairs, matching_s = self.matched(a, b)
+        if method in DENSE:
+            surface_b, surface_s = self.surface(b)
+            points = replace(points, surface_a=self.surface(a)[0], surface_b=surface_b)
+            points_s += surface_s
+        start = self.clock()
         registration = register(points, method, config, step_length=step_length)
-        timing = Timing(
-            features_s=features_s + middle - start, points_s=points_s, method_s=time.perf_counter() - middle
-        )
+        timing = Timing(features_s=features_s + matching_s, points_s=points_s, method_s=self.clock() - start)
         return Step(frame=b, against=a, pairs=pairs, registration=registration, timing=timing)
 
 

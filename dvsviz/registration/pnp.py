@@ -20,8 +20,6 @@ Array = NDArray[np.float64]
 
 _MIN_POINTS = 6
 _REFINE_STEPS = 12
-# How well SIFT places a point, px: what one unit of depth noise weighs against.
-_IMAGE_SIGMA_PX = 0.7
 
 
 def pnp(
@@ -99,12 +97,12 @@ def refine(T_b_a: Array, matched: MatchedPoints, threshold_px: float) -> Array:
         matched: inliers.
         threshold_px: twice the error at which weights begin to fall.
     """
-    cost, rows, gradient = _normal(T_b_a, matched, threshold_px / 2)
+    cost, rows, gradient = normal_equations(T_b_a, matched, threshold_px / 2)
     damping = 1e-4
     for _ in range(_REFINE_STEPS):
         step = np.linalg.solve(rows + damping * np.diag(np.diag(rows) + 1e-12), -gradient)
         moved = se3.pose(se3.exp_so3(step[:3]) @ T_b_a[:3, :3], T_b_a[:3, 3] + step[3:])
-        new = _normal(moved, matched, threshold_px / 2)
+        new = normal_equations(moved, matched, threshold_px / 2)
         if new[0] < cost:
             T_b_a, damping = moved, damping / 10
             is_settled = cost - new[0] < 1e-10 * cost
@@ -118,7 +116,7 @@ def refine(T_b_a: Array, matched: MatchedPoints, threshold_px: float) -> Array:
     return T_b_a
 
 
-def _normal(T_b_a: Array, matched: MatchedPoints, huber_px: float) -> tuple[float, Array, Array]:
+def normal_equations(T_b_a: Array, matched: MatchedPoints, huber_px: float) -> tuple[float, Array, Array]:
     """Return cost, J^T W J (6, 6) and J^T W r (6,) over (turn of b, position) of both frames' points."""
     total, rows, gradient = 0.0, np.zeros((6, 6)), np.zeros(6)
     R, t = T_b_a[:3, :3], T_b_a[:3, 3]
@@ -149,7 +147,7 @@ def _normal(T_b_a: Array, matched: MatchedPoints, huber_px: float) -> tuple[floa
         # Where the other frame measured the depth too, it is a third coordinate, in units of its own noise.
         seen = (matched.depth_b if forward else matched.depth_a)[known]
         both = np.isfinite(seen)
-        sigma = depth_sigma(seen[both], f) / _IMAGE_SIGMA_PX
+        sigma = depth_sigma(seen[both], f) / matched.image_sigma_px
         r_depth = ((p[both, 2] - seen[both]) / sigma)[:, None]
         J_depth = d_point[both, 2:3] / sigma[:, None, None]
         total, rows, gradient = _add(total, rows, gradient, r_depth, J_depth, huber_px)

@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dvsviz.errors import ConfigError, DvsvizError
 
+if TYPE_CHECKING:
+    from dvsviz.registration.dense import Surface
+
 Array = NDArray[np.float64]
+
+# How well SIFT places a point, px; and how far a camera that is known by its maker's values alone is from its own
+# calibration: single Kinects differ from the factory's by 2 to 5 px at the border.
+IMAGE_SIGMA_PX = 0.7
+GUESS_SIGMA_PX = 2.0
 
 # Where the length of a translation comes from. `motion` is a step length that the caller knows (speed x time).
 Scale = Literal["depth", "motion", "unit", "none"]
@@ -57,6 +65,9 @@ class MatchedPoints:
         depth_a: depth (M,) along a's optical axis, metres, NaN where unknown.
         depth_b: depth (M,) along b's optical axis.
         focal_px: mean focal length: what a pixel is in bearings.
+        image_sigma_px: how far a matched point is from where it should be seen: what depth noise weighs against.
+        surface_a: surfaces in view of a, for dense methods; None where not looked at.
+        surface_b: those in view of b.
     """
 
     bearings_a: Array
@@ -64,6 +75,9 @@ class MatchedPoints:
     depth_a: Array
     depth_b: Array
     focal_px: float
+    image_sigma_px: float = IMAGE_SIGMA_PX
+    surface_a: Surface | None = None
+    surface_b: Surface | None = None
 
     def __len__(self) -> int:
         return len(self.bearings_a)
@@ -76,6 +90,9 @@ class MatchedPoints:
             depth_a=self.depth_a[key],
             depth_b=self.depth_b[key],
             focal_px=self.focal_px,
+            image_sigma_px=self.image_sigma_px,
+            surface_a=self.surface_a,
+            surface_b=self.surface_b,
         )
 
     @property

@@ -71,6 +71,7 @@ def kinect(depth: Camera) -> Rig:
         cx=(depth.width - 1) / 2,
         cy=(depth.height - 1) / 2,
         distortion=(0.0, 0.0, 0.0, 0.0, 0.0),
+        is_guess=True,
     )
     return Rig(colour=colour, depth=depth, T_colour_depth=se3.pose(position=[-_KINECT_OFFSET_M, 0.0, 0.0]))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 
@@ -102,6 +103,7 @@ def study(
     loop_closure: bool = False,
     speed: float | None = None,
     config: RegistrationConfig | None = None,
+    clock: Callable[[], float] = time.perf_counter,
     progress: Callable[[float], None] | None = None,
 ) -> list[StudyRun]:
     """Return one run for each method at each skip, and with keyframes or loops a second one beside the plain one.
@@ -115,6 +117,7 @@ def study(
         loop_closure: also run with loop closure.
         speed: metres a second: the scale of methods that nothing else gives.
         config: thresholds.
+        clock: what times are measured by; `time.process_time` on a machine that does other things meanwhile.
         progress: told the share that is done, 0 to 1.
 
     Raises:
@@ -130,7 +133,7 @@ def study(
     modes = [(False, False)]
     if keyframes or loop_closure:
         modes.append((keyframes, loop_closure))
-    table = FeatureTable(sequence, features)
+    table = FeatureTable(sequence, features, clock)
     jobs = [(m, s, mode) for s in skips for m in methods for mode in (modes if m != "none" else modes[:1])]
     runs = []
     for done, (method, skip, (with_keyframes, with_loops)) in enumerate(jobs):
