@@ -2,6 +2,8 @@
 
 import { address, readAddress, writeAddress } from "./address.js";
 import * as api from "./api.js";
+import { Beside } from "./beside.js";
+import { Branching } from "./branch.js";
 import { byId, make, setText } from "./dom.js";
 import { closeDoor, showBanner, showDoor, showEmpty } from "./door.js";
 import { Exports } from "./exports.js";
@@ -9,11 +11,14 @@ import { Failures } from "./failures.js";
 import { amount, clockTime, duration } from "./format.js";
 import { ImageBar } from "./imagebar.js";
 import { Images, KINDS } from "./images.js";
+import { Landscape } from "./landscape.js";
 import { listenToKeys, toggleHelp } from "./keys.js";
 import { liveStrip } from "./live.js";
+import { Manage } from "./manage.js";
 import { Marks } from "./marks.js";
 import { Numbers } from "./numbers.js";
 import { listen } from "./pointer.js";
+import { RunDialog } from "./runs.js";
 import { Scene } from "./scene.js";
 import { Seeker } from "./seeker.js";
 import { Sessions } from "./sessions.js";
@@ -39,13 +44,19 @@ const scene = new Scene(state, (message) => socket.send(message));
 const viewing = new Viewing({ state, socket, seeker, images, transport, timeline, scene }, { door, flash });
 const byHand = (window) => viewing.byHand(window);
 const failures = new Failures(state, byHand);
-const list = new Sessions(state);
+const manage = new Manage(state, { gone: (name) => name === state.session && leave(state.detail?.origin?.session) });
+const list = new Sessions(state, { manage: (name) => manage.open(name), act: (name, action) => api.run(name, action).catch((error) => flash(error.message)) });
+const runDialog = new RunDialog({ started: (name) => (awaited = name) });
+const beside = new Beside({ state, socket, timeline }, () => branching.show());
+const branching = new Branching({ state, socket, beside }, { problem: flash, manage: (name) => manage.open(name) });
 const exporting = new Exports(state);
 new Numbers(state);
 const imageBar = new ImageBar(state, images, () => viewing.ask());
+const landscape = new Landscape(state, (message) => socket.send(message));
 const marks = new Marks(state, { seek: byHand, problem: flash });
 const nextTheme = themes(() => {
   timeline.restyle();
+  landscape.restyle();
   list.restyle();
 });
 sideGrip();
@@ -78,6 +89,12 @@ socket.addEventListener("sessions", ({ detail: { sessions } }) => listed(session
 socket.addEventListener("grown", ({ detail }) => viewing.grown(detail));
 // A keyframe was clicked in the 3-D scene.
 socket.addEventListener("goto", ({ detail }) => detail.session === state.session && byHand(detail.window));
+socket.addEventListener("landscape", ({ detail }) => landscape.take(detail));
+socket.addEventListener("renamed", ({ detail: { session, name } }) => {
+  if (session !== state.session || state.live) return;
+  if (name) viewing.open(name, state.window);
+  else leave(state.detail?.origin?.session);
+});
 socket.addEventListener("export", ({ detail }) => exporting.take(detail));
 socket.addEventListener("error", ({ detail }) => {
   if (!detail?.text) return;
@@ -91,9 +108,23 @@ socket.addEventListener("images", ({ detail }) => {
   if (detail.session === state.session) images.take(detail);
 });
 
+let awaited = null; // a run that was just started is opened as soon as it is listed
+
+/** The session that is open is gone: its origin is shown, or the first there is. */
+function leave(origin) {
+  const left = state.sessions?.filter(({ name }) => name !== state.session) ?? [];
+  const next = left.find(({ name }) => name === origin) ?? left[0];
+  if (next) viewing.open(next.name);
+  else showEmpty("No sessions any more", "Track a recording, and it appears here while it is being tracked.");
+}
+
 function listed(sessions) {
   const first = state.sessions === null;
   state.set({ sessions });
+  if (awaited && sessions.some(({ name }) => name === awaited)) {
+    viewing.open(awaited);
+    awaited = null;
+  }
   viewing.listed();
   if (!state.session && !readAddress().session && sessions.length) {
     const first = ["live", "starting", "queued"].map((wanted) => sessions.find(({ state: is }) => is === wanted));
@@ -202,12 +233,15 @@ listenToKeys({
   gatherMore: () => imageBar.gather(1),
   onlyEvents: () => imageBar.nextEvents(),
   polarity: togglePolarity,
+  landscape: () => landscape.toggle(),
   zoomIn: () => zoomAt(0.5),
   zoomOut: () => zoomAt(2),
   fit: () => timeline.fit(),
   resetView: () => scene.reset(),
   follow: () => (state.following ? state.set({ following: false }) : viewing.follow()),
   loop: loopHere,
+  track: () => runDialog.open(),
+  tryAgain: () => branching.begin(),
   exports: () => byId("export-button").click(),
   theme: nextTheme,
   help: toggleHelp,
