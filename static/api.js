@@ -43,6 +43,17 @@ export const startExport = async (name, to) => (await (await post(`${place(name)
 export const exportAddress = (id) => `/api/exports/${encodeURIComponent(id)}`;
 /** Sets a bookmark `{window, text}` or takes one away `{delete: number}`; resolves to those there are. */
 export const bookmark = async (name, change) => (await (await post(`${place(name)}/bookmarks`, change)).json()).bookmarks;
+/** Recordings that a run can be started on, and the settings there are. */
+export const recordings = async () => (await call("/api/recordings")).json();
+/** What is known of a recording: `{state: "reading", share}` until it was read. */
+export const recording = async (id) => (await call(`/api/recordings/${encodeURIComponent(id)}`)).json();
+export const startRun = async (body) => (await post("/api/runs", body)).json();
+/** Tries a session again: `{window, config, pose}`; resolves to `{name}` of the branch. */
+export const branch = async (name, body) => (await post(`${place(name)}/branch`, body)).json();
+/** A window on the map from another pose: `{png, explained}`. */
+export const preview = async (name, body) => (await post(`${place(name)}/preview`, body)).json();
+/** Renames, keeps, tags, resumes or deletes: `{do, name, tags}`; resolves to its name then, null where it is gone. */
+export const change = async (name, body) => (await (await post(`${place(name)}/change`, body)).json()).name;
 export const run = (name, action) => post(`/api/runs/${encodeURIComponent(name)}`, { action });
 
 /** Columns from window `start` on: `{start, count, columns: {name: typed array}}`. */

@@ -5,12 +5,12 @@ import { byId, make, setText } from "./dom.js";
 import { fixed, megaRate, percent } from "./format.js";
 
 /** Asks before something that cannot be taken back; resolves to whether it is wanted. */
-export function ask(title, text, yes) {
+export function ask(title, text, yes, no = "Keep going") {
   const dialog = byId("ask");
   dialog.replaceChildren(
     make("h2", { id: "ask-title" }, title),
     make("p", {}, text),
-    make("form", { method: "dialog" }, make("button", { value: "no", autofocus: true }, "Keep going"), make("button", { value: "yes", class: "danger" }, yes)),
+    make("form", { method: "dialog" }, make("button", { value: "no", autofocus: true }, no), make("button", { value: "yes", class: "danger" }, yes)),
   );
   dialog.returnValue = "no";
   dialog.showModal();
@@ -19,7 +19,7 @@ export function ask(title, text, yes) {
 
 /** `follow()` takes the playhead to the end and keeps it there; `problem(sentence)` says what went wrong. */
 export function liveStrip(state, { follow, problem }) {
-  let paused = false;
+  const running = () => state.sessions?.find(({ name }) => name === state.session)?.run ?? null;
   const act = async (action) => {
     try {
       await run(state.session, action);
@@ -31,15 +31,18 @@ export function liveStrip(state, { follow, problem }) {
   };
   byId("follow").addEventListener("click", () => (state.following ? state.set({ following: false }) : follow()));
   byId("run-pause").addEventListener("click", async () => {
-    if (await act(paused ? "resume" : "pause")) paused = !paused;
-    setText(byId("run-pause"), paused ? "go on" : "pause run");
+    await act(running()?.state === "paused" ? "resume" : "pause");
   });
   byId("run-cancel").addEventListener("click", async () => {
-    if (await ask("Stop this run?", "Tracking ends here. What was tracked so far stays and can be resumed from the command line.", "Stop the run")) await act("cancel");
+    if (await ask("Stop this run?", "Tracking ends here. What was tracked so far stays, and tracking can be resumed.", "Stop the run")) await act("cancel");
   });
-  state.watch(["session"], () => {
-    paused = false;
-    setText(byId("run-pause"), "pause run");
+  state.watch(["session", "sessions"], () => {
+    // A run that another program started cannot be paused from here.
+    const run = running();
+    const paused = run?.state === "paused";
+    byId("run-pause").hidden = byId("run-cancel").hidden = !run;
+    setText(byId("run-pause"), paused ? "go on" : "pause run");
+    setText(byId("live-badge"), paused ? "paused" : "live");
   });
   state.watch(["live", "progress", "following", "detail"], () => {
     byId("live").hidden = !state.live;

@@ -24,6 +24,7 @@ export class Timeline {
   #over = byId("timeline-over");
   #box = byId("timeline");
   #data = { columns: null, detail: null };
+  #beside = null; // columns of a branch, drawn over the session's own
   #curves = [];
   #dirty = { lanes: true, over: true };
   #frame = 0;
@@ -70,6 +71,12 @@ export class Timeline {
       const spread = columns.spread(lane.key).map((value) => value * (lane.gain ?? 1));
       return { ...lane, range: lane.fixed ?? niceRange(spread, lane.floor, lane.least), ink: themeColour(lane.ink) };
     });
+  }
+
+  /** Draws the curves of a branch over those of the session; null takes them away. */
+  setBeside(columns) {
+    this.#beside = columns;
+    this.redraw();
   }
 
   setPlayhead(window) {
@@ -220,10 +227,18 @@ export class Timeline {
       if (b > left && a < right) pen.fillRect(a, states.top, Math.max(1, b - a), axis.top - states.top);
     }
     drawStates(pen, columns, scale, states.top, states.height, this.#fills);
+    // A branch's states below, where it has any: half as high, with its colour under them.
+    if (this.#beside?.count) {
+      const from = Math.max(left, scale.x(this.#beside.get("t_s")[0]));
+      pen.fillStyle = themeColour("--tried");
+      pen.fillRect(from, states.top + states.height - 2, right - from, 2);
+      drawStates(pen, this.#beside, scale, states.top + states.height * 0.55, states.height * 0.45 - 2, this.#fills, false);
+    }
     this.#curves.forEach((lane, i) => {
       pen.fillStyle = grid;
       pen.fillRect(left, Math.round(top + (i + 1) * row) - 1, right - left, 1);
       drawCurve(pen, columns, lane, scale, top + i * row + 3, row - 7);
+      if (this.#beside?.count) drawCurve(pen, this.#beside, { ...lane, ink: themeColour("--tried") }, scale, top + i * row + 3, row - 7);
     });
     this.#paintMarks(pen, scale, marks);
     pen.restore();

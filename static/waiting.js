@@ -6,6 +6,7 @@ import { percent } from "./format.js";
 const WAITING = ["queued", "starting", "failed"];
 const STEPS = {
   simulating: ["Make the demo recording", "Ten seconds of a wall with shapes, simulated once and kept."],
+  reading: ["Read the recording", "Formats other than dvsviz's own are converted once and kept."],
   compiling: ["Get the tracker ready", "The first time on a machine its kernels are compiled, which takes about a minute; later a few seconds."],
   tracking: ["Track", "Poses, map and images appear here while it works."],
 };
@@ -20,7 +21,7 @@ export function waitingWords(entry, entries) {
     const before = entries.filter(({ state }) => state === "starting" || state === "live");
     return [`“${entry.name}” waits for its turn`, before.length ? `It begins when ${before.map(({ name }) => name).join(", ")} has ended.` : "It begins in a moment."];
   }
-  const stages = entry.stages ?? ["compiling", "tracking"];
+  const stages = entry.stages ?? ["reading", "compiling", "tracking"];
   const now = stages.indexOf(entry.stage);
   const steps = stages.map((stage, i) => {
     const [name, about] = STEPS[stage];
