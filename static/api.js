@@ -56,9 +56,9 @@ export const preview = async (name, body) => (await post(`${place(name)}/preview
 export const change = async (name, body) => (await (await post(`${place(name)}/change`, body)).json()).name;
 export const run = (name, action) => post(`/api/runs/${encodeURIComponent(name)}`, { action });
 
-/** Columns from window `start` on: `{start, count, columns: {name: typed array}}`. */
-export async function columns(name, start) {
-  return decodeColumns(await (await call(`${place(name)}/columns?start=${start}`)).arrayBuffer());
+/** Columns of a set (`state`, `pose`, `pixels`) from window `start` on: `{start, count, columns: {name: typed array}}`. */
+export async function columns(name, start, set = "state") {
+  return decodeColumns(await (await call(`${place(name)}/columns?start=${start}&set=${set}`)).arrayBuffer());
 }
 
 const TYPES = { f64: Float64Array, f32: Float32Array, u8: Uint8Array, i32: Int32Array, u32: Uint32Array };

@@ -78,6 +78,7 @@ export class Columns {
   #data = {};
   #pyramids = {};
   #badness;
+  #extra = new Set(); // names of columns that came by `put`
 
   /** `badness[status]` orders the states, so that a stretch is drawn as its worst one: column `badness`. */
   constructor(badness) {
@@ -101,7 +102,37 @@ export class Columns {
       if (known) known.update(data, end, start);
       else this.#pyramids[name] = new Pyramid(data, end);
     }
+    const before = this.count;
     this.count = Math.max(this.count, end);
+    for (const name of this.#extra) {
+      this.#grow(name);
+      this.#pyramids[name].update(this.#data[name], this.count, Math.min(before, this.count));
+    }
+  }
+
+  /** Adds columns that are fetched by themselves, from window `start` on; unknown values are NaN. */
+  put({ start, count, columns }) {
+    for (const [name, values] of Object.entries(columns)) {
+      if (!this.#extra.has(name)) {
+        this.#extra.add(name);
+        this.#data[name] = new Float32Array(Math.max(256, Math.ceil(this.count * 1.5))).fill(NaN);
+      }
+      this.#grow(name);
+      this.#data[name].set(values.subarray(0, Math.max(0, this.count - start)), start);
+      const known = this.#pyramids[name];
+      if (known) known.update(this.#data[name], this.count, start);
+      else this.#pyramids[name] = new Pyramid(this.#data[name], this.count);
+    }
+    return start + count;
+  }
+
+  /** Makes room for as many values as there are windows. */
+  #grow(name) {
+    const data = this.#data[name];
+    if (data.length >= this.count) return;
+    const bigger = new Float32Array(Math.ceil(this.count * 1.5)).fill(NaN);
+    bigger.set(data);
+    this.#data[name] = bigger;
   }
 
   /** The values of a column (longer than `count`: there is room to grow), or undefined. */

@@ -79,7 +79,7 @@ export class Images {
       return Math.min(wide, Math.max(5.5 * font, tall / Math.ceil(count / columns) - 1.7 * font) * aspect);
     };
     let columns = 1;
-    for (let more = 2; more <= Math.min(count, 4); more++) if (size(more) >= size(columns) - 1) columns = more; // of equal ones that with fewer rows
+    for (let more = 2; more <= Math.min(count, 4); more++) if (size(more) > size(columns) + 1 || (size(more) >= size(columns) - 1 && Math.ceil(count / more) < Math.ceil(count / columns))) columns = more;
     place.style.setProperty("--columns", String(columns));
     place.style.setProperty("--rows", String(Math.ceil(count / columns)));
   }

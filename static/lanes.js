@@ -143,7 +143,7 @@ export function drawCurve(pen, columns, lane, scale, top, height) {
 }
 
 /** Writes the lane's name, unit, value and the ends of its axis. */
-export function drawLaneLabels(pen, lane, box, value) {
+export function drawLaneLabels(pen, lane, box, value, beside = null) {
   const { left, right, top, height, font, ink, dim } = box;
   const middle = top + height / 2;
   pen.textBaseline = "middle";
@@ -160,6 +160,11 @@ export function drawLaneLabels(pen, lane, box, value) {
     pen.textAlign = "right";
     pen.fillStyle = lane.ink;
     pen.fillText(fixed(value * (lane.gain ?? 1), lane.digits), left - font * 0.7, middle);
+  }
+  if (beside !== null && Number.isFinite(beside)) {
+    pen.fillStyle = lane.also.ink;
+    pen.font = `${font - 1}px ${FONT}`;
+    pen.fillText(fixed(beside * (lane.gain ?? 1), lane.digits), left - font * 4.6, middle);
   }
   pen.font = `${font - 2.5}px ${FONT}`;
   pen.textAlign = "left";

@@ -4,6 +4,7 @@ import { address, readAddress, writeAddress } from "./address.js";
 import * as api from "./api.js";
 import { Beside } from "./beside.js";
 import { Branching } from "./branch.js";
+import { Curves } from "./curves.js";
 import { byId, make, setText } from "./dom.js";
 import { closeDoor, showBanner, showDoor, showEmpty } from "./door.js";
 import { Exports } from "./exports.js";
@@ -22,7 +23,7 @@ import { RunDialog } from "./runs.js";
 import { Scene } from "./scene.js";
 import { Seeker } from "./seeker.js";
 import { Sessions } from "./sessions.js";
-import { sideGrip } from "./side.js";
+import { bottomGrip, sideGrip } from "./side.js";
 import { Socket } from "./socket.js";
 import { state } from "./state.js";
 import { paintBadge } from "./status.js";
@@ -60,6 +61,8 @@ const nextTheme = themes(() => {
   list.restyle();
 });
 sideGrip();
+bottomGrip();
+const curves = new Curves(state, timeline, flash);
 liveStrip(state, { follow: () => viewing.follow(), problem: flash });
 
 // Messages -----------------------------------------------------------------------------------------------
@@ -234,6 +237,7 @@ listenToKeys({
   onlyEvents: () => imageBar.nextEvents(),
   polarity: togglePolarity,
   landscape: () => landscape.toggle(),
+  curves: () => curves.toggle(),
   zoomIn: () => zoomAt(0.5),
   zoomOut: () => zoomAt(2),
   fit: () => timeline.fit(),

@@ -5,19 +5,7 @@ import { byId, themeColour } from "./dom.js";
 import { clockTime } from "./format.js";
 import { FONT, axisTime, drawCurve, drawLaneLabels, drawStates, niceRange, stateFills, ticks } from "./lanes.js";
 
-const LANES = [
-  { key: "contrast_gain", label: "contrast gain", unit: "×", digits: 2, ink: "--curve-contrast", floor: null, least: 0.5 },
-  { key: "overlap", label: "overlap", unit: "0 to 1", digits: 2, ink: "--curve-overlap", fixed: [0, 1] },
-  { key: "event_rate_hz", label: "events", unit: "Mev/s", digits: 2, gain: 1e-6, ink: "--curve-events", floor: 0, least: 0.02 },
-];
-const WITH_TRUTH = [
-  { key: "error_percent", label: "position error", unit: "% d", digits: 2, ink: "--truth", floor: 0, least: 1 },
-  { key: "error_deg", label: "rotation error", unit: "°", digits: 2, ink: "--truth", floor: 0, least: 0.5 },
-];
-const WITHOUT_TRUTH = [
-  { key: "score", label: "map score", unit: "0 to 1", digits: 2, ink: "--curve-score", fixed: [0, 1] },
-  { key: "confidence", label: "confidence", unit: "0 to 1", digits: 2, ink: "--curve-score", fixed: [0, 1] },
-];
+const LANES_AT_FIRST = 5; // the place's usual height is for so many
 
 export class Timeline {
   #lanes = byId("timeline-lanes");
@@ -26,6 +14,8 @@ export class Timeline {
   #data = { columns: null, detail: null };
   #beside = null; // columns of a branch, drawn over the session's own
   #curves = [];
+  #lanesWanted = [];
+  #compared = [];
   #dirty = { lanes: true, over: true };
   #frame = 0;
   #fills = null;
@@ -63,13 +53,30 @@ export class Timeline {
     return this.#whole;
   }
 
+  /** Shows these curves, top to bottom; more of them take more of the page. */
+  setLanes(lanes) {
+    this.#lanesWanted = lanes;
+    const more = Math.max(0, lanes.length - LANES_AT_FIRST);
+    document.documentElement.style.setProperty("--lanes-more", String(more));
+    this.#setCurves();
+    this.redraw();
+  }
+
+  /** Draws the curves of other sessions, dashed: `[{columns, ink, shift}]`, `shift` seconds from their time to this one's. */
+  setCompared(others) {
+    this.#compared = others;
+    this.#setCurves();
+    this.redraw();
+  }
+
   #setCurves() {
-    const { columns, detail } = this.#data;
+    const { columns } = this.#data;
     if (!columns?.count) return void (this.#curves = []);
-    const rest = detail?.ground_truth && columns.has("error_percent") ? WITH_TRUTH : WITHOUT_TRUTH;
-    this.#curves = [...LANES, ...rest].map((lane) => {
-      const spread = columns.spread(lane.key).map((value) => value * (lane.gain ?? 1));
-      return { ...lane, range: lane.fixed ?? niceRange(spread, lane.floor, lane.least), ink: themeColour(lane.ink) };
+    this.#curves = this.#lanesWanted.map((lane) => {
+      const series = [columns, ...this.#compared.map((other) => other.columns)].flatMap((of) => [lane.key, lane.also?.key].map((key) => (key && of.has(key) ? of.spread(key) : null))).filter(Boolean);
+      const spread = series.length ? [Math.min(...series.map(([low]) => low)), Math.max(...series.map(([, high]) => high))] : [0, 1];
+      const range = lane.fixed ?? niceRange(spread.map((value) => value * (lane.gain ?? 1)), lane.floor, lane.least);
+      return { ...lane, range, ink: themeColour(lane.ink), also: lane.also && { ...lane, key: lane.also.key, range, ink: themeColour(lane.also.ink) } };
     });
   }
 
@@ -237,7 +244,14 @@ export class Timeline {
     this.#curves.forEach((lane, i) => {
       pen.fillStyle = grid;
       pen.fillRect(left, Math.round(top + (i + 1) * row) - 1, right - left, 1);
+      if (lane.also) drawCurve(pen, columns, lane.also, scale, top + i * row + 3, row - 7);
       drawCurve(pen, columns, lane, scale, top + i * row + 3, row - 7);
+      for (const { columns: other, ink, shift } of this.#compared) {
+        const moved = { ...scale, x: (t) => scale.x(t + shift), t: (x) => scale.t(x) - shift };
+        pen.setLineDash([5, 2.5]);
+        drawCurve(pen, other, { ...lane, ink: themeColour(ink) }, moved, top + i * row + 3, row - 7);
+        pen.setLineDash([]);
+      }
       if (this.#beside?.count) drawCurve(pen, this.#beside, { ...lane, ink: themeColour("--tried") }, scale, top + i * row + 3, row - 7);
     });
     this.#paintMarks(pen, scale, marks);
@@ -301,8 +315,8 @@ export class Timeline {
     const box = { left, right, font, ink, dim };
     drawStateLabel(pen, states, font, ink, dim);
     this.#curves.forEach((lane, i) => {
-      const value = columns.get(lane.key)?.[at];
-      drawLaneLabels(pen, lane, { ...box, top: top + i * row + 2, height: row - 5 }, value ?? NaN);
+      const [value, beside] = [lane.key, lane.also?.key].map((key) => (key ? columns.get(key)?.[at] ?? NaN : null));
+      drawLaneLabels(pen, lane, { ...box, top: top + i * row + 2, height: row - 5 }, value, beside);
     });
 
     if (this.loop) {

@@ -29,6 +29,7 @@ from dvsviz.gateway.security import Guard, Keys
 from dvsviz.gateway.tabs import TAKEN, Tabs
 from dvsviz.gateway.watch import Watch
 from dvsviz.session.store import add_bookmark, delete_bookmark
+from dvsviz.view.curves import OccupiedPixels, pose_curves
 from dvsviz.view.shown import ShownSession
 
 _LONGEST_NOTE = 2000
@@ -53,6 +54,7 @@ class Routes:
         self._keys, self._library, self._runs = keys, library, runs
         self._tabs, self._watch, self._exports, self._static = tabs, watch, exports, static
         self._manager = manager
+        self._occupied = OccupiedPixels()
         self._proxy = SceneProxy()
 
     def app(self, host: str) -> ASGIApp:
@@ -119,7 +121,15 @@ class Routes:
         """Return the curves of the windows from `start` on."""
         shown = await self._shown(request)
         start = min(max(0, int(request.query_params.get("start", "0"))), shown.window_count)
-        data = await asyncio.to_thread(lambda: pack_columns(start, shown.plotted(start)))
+        curves = {
+            "state": shown.plotted,
+            "pose": partial(pose_curves, shown),
+            "pixels": partial(self._occupied.curve, shown),
+        }
+        chosen = request.query_params.get("set", "state")
+        if chosen not in curves:
+            raise ValueError(f"set: expected one of {', '.join(curves)}")
+        data = await asyncio.to_thread(lambda: pack_columns(start, curves[chosen](start)))
         return Response(data, media_type="application/octet-stream")
 
     async def export(self, request: Request) -> Response:

@@ -117,3 +117,36 @@ def test_without_the_recording_the_landscape_says_why(dashboard: Dashboard) -> N
     dashboard.press("g")
     dashboard.page.get_by_text("No landscape here: the recording is not there any more").wait_for()
     assert not dashboard.problems
+
+
+def test_curves_are_chosen_and_drawn(dashboard: Dashboard) -> None:
+    dashboard.enter("barcode", 50)
+    dashboard.press("u")
+    menu = dashboard.page.locator("#curves-menu")
+    for name in ("occupied", "x d", "yaw", "roll"):
+        menu.get_by_label(name, exact=False).first.check()
+    menu.get_by_label("overlap").uncheck()
+    dashboard.press("Escape")
+    # The code has 16 squares of 100 pixels; more rows make the timeline higher.
+    curves = """(set) => fetch(`/api/sessions/barcode/columns?start=0&set=${set}`)
+      .then((answer) => answer.arrayBuffer())
+      .then((buffer) => buffer.byteLength)"""
+    assert dashboard.page.evaluate(curves, "pixels") > 300 * 4
+    assert dashboard.page.evaluate(curves, "pose") > 12 * 300 * 4
+    height = dashboard.page.locator(".bottom").bounding_box()
+    assert height is not None
+    assert height["height"] > 250
+    dashboard.page.locator("#bottom-grip").focus()
+    dashboard.press("ArrowUp", "ArrowUp")
+    taller = dashboard.page.locator(".bottom").bounding_box()
+    assert taller is not None
+    assert taller["height"] > height["height"] + 40
+    dashboard.page.mouse.click(*dashboard.timeline_x(0.5))
+    dashboard.until_shown(dashboard.state["window"])
+    dashboard.page.reload()
+    dashboard.until(lambda: dashboard.loaded() and dashboard.state["shown"] is not None, "the page is back")
+    dashboard.press("u")
+    assert menu.get_by_label("roll").is_checked()
+    menu.get_by_role("button", name="As at first").click()
+    assert not menu.get_by_label("roll").is_checked()
+    assert not dashboard.problems
