@@ -14,6 +14,7 @@ import tyro
 from tyro.conf import Positional, arg
 
 from dvsviz.cli.options import Calibration, Flag, Folder, Json, Repair, Size, option, read_number, read_roi
+from dvsviz.cli.registration_arguments import Register
 from dvsviz.cli.simulation_arguments import Simulate, SimulateSuite
 from dvsviz.config import Motion
 from dvsviz.errors import DvsvizError
@@ -284,6 +285,7 @@ class Serve:
     """Open the dashboard in a browser.
 
     Examples:  dvsviz serve  |  dvsviz serve slider_depth.zip --port 0 --no-browser
+               dvsviz serve --live aedat4+tcp://127.0.0.1:7777 --record recording.h5
     """
 
     paths: Annotated[Positional[tuple[Path, ...]], arg(metavar="[PATH ...]", help_behavior_hint="")] = ()
@@ -297,6 +299,13 @@ class Serve:
     sessions: Folder = None
     recordings: Annotated[tuple[Path, ...], arg(metavar="DIR ...")] = ()
     """Folders whose recordings can be tracked from the page, besides those of the sessions' folder."""
+    live: Annotated[str | None, *option("aedat4+tcp://HOST:PORT|camera", str, "none")] = None
+    """Track a network stream or a connected camera, and watch it."""
+    record: Annotated[Path | None, *option("FILE.h5", Path, "none")] = None
+    """Record the whole live stream."""
+    motion: Annotated[Motion | None, *option("{planar,translation,rotation}", _motion, "planar")] = None
+    """How the live stream is tracked."""
+    calibration: Calibration = None
 
     def run(self) -> int:
         """Serve until stopped."""
@@ -324,6 +333,7 @@ COMMANDS: dict[str, tuple[Any, str]] = {
     "simulate": (Simulate, "write a simulated recording with its ground truth"),
     "simulate-suite": (SimulateSuite, "write the simulated recordings that trackers are measured by"),
     "track": (Track, "track a recording into a session"),
+    "register": (Register, "register frames by several methods and compare them with the truth"),
     "evaluate": (Evaluate, "compare a session with the truth"),
     "export": (Export, "write a session for rerun or as a TUM trajectory"),
     "replay": (Replay, "serve a recording as a network stream"),

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
-from pathlib import Path
-
 from dvsviz.cli.arguments import Replay, Track, UsageError
 from dvsviz.cli.console import Interrupts, note, print_json, read_recording, sessions_folder, share_bar
 from dvsviz.cli.runs import config_of, print_summary
-from dvsviz.errors import DvsvizError, SessionError
+from dvsviz.errors import SessionError
 
 
 def replay(command: Replay) -> int:
@@ -38,48 +35,20 @@ def track_live(command: Track) -> int:
         if path is not None and path.exists() and not command.force:
             raise SessionError("already exists", path=path, hint="replace it with --force")
     from dvsviz import pipeline
-    from dvsviz.events.recording import Recording
-    from dvsviz.formats.calibration import read_calibration
-    from dvsviz.formats.hdf5 import RecordingWriter
-    from dvsviz.geometry.camera import Camera
-    from dvsviz.live.receiver import connect
-    from dvsviz.live.source import LiveEvents
-    from dvsviz.tracking.warm_up import warm_up
 
     where, config = str(command.live), config_of(command)
-    # The kernels first: what a stream sends while they are compiled would be lost to the tracker.
-    warm_up(config)
-    first = connect(where)
-    calibration = None if command.calibration is None else read_calibration(command.calibration)
-    camera = Camera.guess(*first.size) if calibration is None else calibration.camera(*first.size)
-    if camera.is_guess:
-        note("warning: no calibration: the focal length is guessed; give one with --calibration")
-    opened = [first]
-    with ExitStack() as stack:
-        writer = None
-        if command.record is not None:
-            writer = stack.enter_context(RecordingWriter(command.record, camera=camera))
-        interrupts = stack.enter_context(Interrupts())
-        interrupts.begin()
-        events = LiveEvents(
-            lambda: opened.pop() if opened else connect(where),
-            record=None if writer is None else writer.append,
+    with Interrupts() as interrupts:
+        summary = pipeline.track_stream(
+            where,
+            config,
+            out,
             stop=interrupts.cancel,
             report=note,
+            opened=lambda _: interrupts.begin(),
+            calibration=command.calibration,
+            record=command.record,
+            force=command.force,
         )
-        try:
-            if not events.wait_for_first():
-                raise DvsvizError("the stream ended without an event", path=Path(where))
-            recording = Recording(
-                path=command.record or Path(where),
-                name=out.stem,
-                format="live stream",
-                camera=camera,
-                events=events,
-            )
-            summary = pipeline.track(recording, config, out, force=command.force)
-        finally:
-            events.close()
     if command.json:
         print_json(summary)
     else:

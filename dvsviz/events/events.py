@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,3 +55,17 @@ class Events:
             y_px=np.zeros(0, np.uint16),
             is_positive=np.zeros(0, np.bool_),
         )
+
+
+def joined(parts: Sequence[Events]) -> Events:
+    """Return events that follow each other as one."""
+    if len(parts) == 1:
+        return parts[0]
+    if not parts:
+        return Events.empty()
+    return Events(
+        t_us=np.concatenate([part.t_us for part in parts]),
+        x_px=np.concatenate([part.x_px for part in parts]),
+        y_px=np.concatenate([part.y_px for part in parts]),
+        is_positive=np.concatenate([part.is_positive for part in parts]),
+    )

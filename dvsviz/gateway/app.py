@@ -51,6 +51,7 @@ def serve(
     ready: Callable[[str], None] | None = None,
     told: Callable[[Run], None] | None = None,
     recordings: Sequence[Path] = (),
+    live: RunOrder | None = None,
 ) -> None:
     """Show sessions in the browser until Ctrl-C; recordings among the paths are tracked live.
 
@@ -64,12 +65,20 @@ def serve(
         ready: called with the address, token and all, once the server listens.
         told: called with a run whenever it told how far it is, from another thread.
         recordings: folders whose recordings can be tracked from the page, besides those of the sessions' folder.
+        live: a stream that is tracked.
 
     Raises:
         DvsvizError: the port is in use, or a path is neither recording nor session.
     """
     dashboard = Dashboard(
-        paths, sessions_dir=sessions_dir, host=host, port=port, demo=demo, told=told, recordings=recordings
+        paths,
+        sessions_dir=sessions_dir,
+        host=host,
+        port=port,
+        demo=demo,
+        told=told,
+        recordings=recordings,
+        live=live,
     )
     try:
         if ready is not None:
@@ -94,6 +103,7 @@ class Dashboard:
         demo: track the demo recording anew; it is simulated the first time.
         told: called with a run whenever it told how far it is, from another thread.
         recordings: folders whose recordings can be tracked from the page, besides those of the sessions' folder.
+        live: a stream that is tracked.
 
     Raises:
         DvsvizError: the port is in use, or a path is neither recording nor session.
@@ -109,6 +119,7 @@ class Dashboard:
         demo: bool = False,
         told: Callable[[Run], None] | None = None,
         recordings: Sequence[Path] = (),
+        live: RunOrder | None = None,
     ) -> None:
         self._socket = _listen(host, port)
         try:
@@ -119,6 +130,8 @@ class Dashboard:
             orders, sessions = _sorted(paths, sessions_dir)
             if demo:
                 orders.append(_demo_order(sessions_dir))
+            if live is not None:
+                orders.append(live)
         except BaseException:
             self._socket.close()
             raise

@@ -17,6 +17,7 @@ from dvsviz.gateway.orders import Action, RunOrder, RunState, Stage
 
 if TYPE_CHECKING:
     from dvsviz.events.recording import Recording
+    from dvsviz.live.figures import LiveFigures
     from dvsviz.pipeline import Progress
 
 # The tracker gives way to seeks where a browser that draws in software takes the other core.
@@ -35,7 +36,9 @@ def carry_out(pipe: Connection, order: RunOrder) -> None:
     try:
         run = _Child(pipe, order)
         run.track()
-        answer = (RunState.CANCELLED if run.cancel.is_set() else RunState.DONE, "")
+        # A live stream is stopped well: nobody knows another end of it.
+        stopped = run.cancel.is_set() and order.live is None
+        answer = (RunState.CANCELLED if stopped else RunState.DONE, "")
     except RunCancelled:
         answer = (RunState.CANCELLED, "")
     except (DvsvizError, OSError, MemoryError, ValueError) as error:
@@ -62,6 +65,9 @@ class _Child:
         from dvsviz.gateway.demo import demo_recording
 
         order = self._order
+        if order.live is not None:
+            self._track_stream(order.live)
+            return
         if order.demo:
             demo_recording(order.recording, lambda share: self._tell(Stage.SIMULATING, {"share": share}))
         self._tell(Stage.READING, {}, at_once=True)
@@ -86,6 +92,43 @@ class _Child:
             cancel=self.cancel,
             start_s=order.start_s,
             end_s=order.end_s,
+        )
+
+    def _track_stream(self, where: str) -> None:
+        from dvsviz import pipeline
+
+        order, told = self._order, {}
+        figures: LiveFigures | None = None
+
+        def opened(found: LiveFigures) -> None:
+            nonlocal figures
+            figures = found
+
+        def report(text: str) -> None:
+            # While a stream is away there are no windows to tell of.
+            if figures is not None:
+                told.update(figures.now() | {"notice": text})
+                self._tell(Stage.TRACKING, told, at_once=True)
+
+        def progress(now: Progress) -> None:
+            if figures is not None:
+                told.update(figures.now() | {"real_time_factor": now.real_time_factor})
+                self._tell(Stage.TRACKING, told)
+            self._going_on.wait()
+
+        self._tell(Stage.COMPILING, {}, at_once=True)
+        order.out.parent.mkdir(parents=True, exist_ok=True)
+        pipeline.track_stream(
+            where,
+            order.config,
+            order.out,
+            stop=self.cancel,
+            report=report,
+            opened=opened,
+            calibration=order.calibration,
+            record=order.record,
+            force=order.force,
+            progress=progress,
         )
 
     def _recording(self) -> Recording:

@@ -54,6 +54,9 @@ class RunOrder:
         end_s: where to end, seconds from the first event.
         branch_of: the session that is tried again, its recording opened with its filters; None for a run of its own.
         window: of a branch: the first window that is tracked anew.
+        live: the stream to track instead of a recording, `aedat4+tcp://HOST:PORT` or `camera`.
+        calibration: file with the calibration of a live stream's camera.
+        record: where a live stream is recorded.
         T_world_camera: of a branch: the pose (4, 4) to start that window from, or None.
     """
 
@@ -69,6 +72,9 @@ class RunOrder:
     end_s: float | None = None
     branch_of: Path | None = None
     window: int = 0
+    live: str | None = None
+    calibration: Path | None = None
+    record: Path | None = None
     T_world_camera: NDArray[np.float64] | None = None
 
     @property

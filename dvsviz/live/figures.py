@@ -43,6 +43,15 @@ class LiveFigures:
         self._arrivals: deque[tuple[float, int]] = deque()
         self._passed, self._passed_used = 0, 0
         self._latencies: list[float] = []
+        self._notes: deque[str] = deque()
+
+    def note(self, text: str) -> None:
+        """Take down what happened to the stream."""
+        self._notes.append(text)
+
+    def take_notes(self) -> list[str]:
+        """Return what was taken down since the last call."""
+        return [self._notes.popleft() for _ in range(len(self._notes))]
 
     def arrived(self, count: int, at_s: float) -> None:
         """Take down that events arrived at a time of the monotonic clock."""

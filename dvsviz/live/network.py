@@ -18,6 +18,7 @@ from dvsviz.live.source import Connection
 
 _ANSWER_S = 3.0
 _MOST_EVENTS = 100_000
+_CAMERA_HINT = "connect an iniVation camera; on Linux its udev rules are needed, too"
 _ADDRESS = re.compile(r"(?:aedat4\+)?tcp://(\[[0-9a-fA-F:.]+\]|[^:/]+):(\d{1,5})/?")
 
 
@@ -27,14 +28,10 @@ def open_stream(where: str) -> Connection:
     Raises:
         LiveError: no such stream or camera, or dv-processing is not installed.
     """
-    try:
-        import dv_processing as dv
-    except ImportError as error:
-        hint = "pip install dv-processing (Linux on x86_64)"
-        raise LiveError("dv-processing, which reads streams and cameras, is not installed", hint=hint) from error
+    dv = _library()
     if where == "camera":
         return _Reader(_camera(dv), where)
-    host, port = look(where)
+    host, port = parse_address(where)
     try:
         reader = dv.io.NetworkReader(host, port)
     except (RuntimeError, ValueError, OSError) as error:
@@ -46,12 +43,16 @@ def open_stream(where: str) -> Connection:
     return _Reader(reader, where)
 
 
-def look(where: str) -> tuple[str, int]:
-    """Return host and port of a stream that answers: dv-processing would wait for it without end.
+def look(where: str) -> None:
+    """Look whether a stream or camera is there: dv-processing would wait for a stream without end.
 
     Raises:
-        LiveError: it is no address, or no stream answers there.
+        LiveError: it is no address, nothing answers there, or no camera is connected.
     """
+    if where == "camera":
+        if not _library().io.camera.discover():
+            raise LiveError("no camera is connected", hint=_CAMERA_HINT)
+        return
     host, port = parse_address(where)
     try:
         with socket.create_connection((host, port), timeout=_ANSWER_S) as probe:
@@ -62,7 +63,15 @@ def look(where: str) -> tuple[str, int]:
         raise LiveError(f"nothing answers at {where} ({reason})", hint=hint) from error
     if head[8:12] != b"IOHE":
         raise LiveError(f"what answers at {where} is no AEDAT4 stream", hint="check host and port")
-    return host, port
+
+
+def _library() -> Any:
+    try:
+        import dv_processing as dv
+    except ImportError as error:
+        hint = "pip install dv-processing (Linux on x86_64)"
+        raise LiveError("dv-processing, which reads streams and cameras, is not installed", hint=hint) from error
+    return dv
 
 
 def parse_address(where: str) -> tuple[str, int]:
@@ -78,13 +87,12 @@ def parse_address(where: str) -> tuple[str, int]:
 
 
 def _camera(dv: Any) -> Any:
-    hint = "connect an iniVation camera; on Linux its udev rules are needed, too"
-    if not dv.io.camera.discover():
-        raise LiveError("no camera is connected", hint=hint)
     try:
         return dv.io.camera.open()
     except (RuntimeError, IndexError, OSError) as error:
-        raise LiveError(f"the camera cannot be opened ({' '.join(str(error).split())[:120]})", hint=hint) from error
+        raise LiveError(
+            f"the camera cannot be opened ({' '.join(str(error).split())[:120]})", hint=_CAMERA_HINT
+        ) from error
 
 
 class _Reader:

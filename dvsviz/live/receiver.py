@@ -40,9 +40,8 @@ def connect(where: str) -> Connection:
     Raises:
         LiveError: no such stream or camera, or dv-processing is not installed.
     """
-    if where != "camera":
-        # Quickly, while a lost stream is waited for.
-        look(where)
+    # Quickly, while a lost stream is waited for.
+    look(where)
     return _Received(where)
 
 

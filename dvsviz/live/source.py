@@ -6,12 +6,12 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from dvsviz.errors import DvsvizError
-from dvsviz.events.events import Events
+from dvsviz.events.events import Events, joined
 from dvsviz.live.figures import LiveFigures, StreamState
 
 # Unread events older than this cannot be wanted any more: the rule of `live.windows` jumps over them long before.
@@ -76,7 +76,7 @@ class LiveEvents:
         report: Callable[[str], None] | None = None,
     ) -> None:
         self._connect, self._retry_s, self._max_wait_us = connect, retry_s, max_wait_us
-        self._record, self._report = record, report or (lambda text: None)
+        self._record, self._told = record, report or (lambda text: None)
         self.stop = stop or threading.Event()
         self.figures = LiveFigures()
         self.received, self.newest_us = 0, 0
@@ -133,7 +133,7 @@ class LiveEvents:
             oldest = self._chunks[0][0] if self._chunks else self.received
         if first < oldest:
             raise ValueError(f"first: expected at least {oldest}, the oldest event that is kept, got {first}")
-        return _joined(parts)
+        return joined(parts)
 
     def index_at(self, t_us: int) -> int:
         """Return the index of the first event that is kept at or after a time, `count` where there is none yet."""
@@ -185,6 +185,10 @@ class LiveEvents:
                 self._ended = True
                 self.figures.state = StreamState.ENDED
                 self._changed.notify_all()
+
+    def _report(self, text: str) -> None:
+        self.figures.note(text)
+        self._told(text)
 
     def _let_go(self) -> None:
         if self._connection is not None:
@@ -244,15 +248,3 @@ class LiveEvents:
 
     def _is_past(self, at: int, chunk: Events) -> bool:
         return at + len(chunk) <= self._read_to or int(chunk.t_us[-1]) < self.newest_us - _KEPT_US
-
-
-def _joined(parts: list[Events]) -> Events:
-    if len(parts) == 1:
-        return parts[0]
-    if not parts:
-        return Events.empty()
-    columns: dict[str, Any] = {
-        name: np.concatenate([getattr(part, name) for part in parts])
-        for name in ("t_us", "x_px", "y_px", "is_positive")
-    }
-    return Events(**columns)

@@ -100,6 +100,10 @@ class LiveWindows:
             wanted = max(wanted, self._count())
         return wanted
 
+    def notes(self) -> list[str]:
+        """Return what happened to the stream since it was last asked."""
+        return self._events.figures.take_notes()
+
     def summary(self) -> dict[str, float]:
         """Return what came and what was used, and latencies in milliseconds."""
         return self._events.figures.summary()

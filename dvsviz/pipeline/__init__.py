@@ -2,6 +2,17 @@
 
 from dvsviz.pipeline.branch import Branch, branch
 from dvsviz.pipeline.run import CHECKPOINT_US, Progress, track
+from dvsviz.pipeline.stream import track_stream
 from dvsviz.pipeline.summary import evaluation_of, events_kept, summarize
 
-__all__ = ["CHECKPOINT_US", "Branch", "Progress", "branch", "evaluation_of", "events_kept", "summarize", "track"]
+__all__ = [
+    "CHECKPOINT_US",
+    "Branch",
+    "Progress",
+    "branch",
+    "evaluation_of",
+    "events_kept",
+    "summarize",
+    "track",
+    "track_stream",
+]

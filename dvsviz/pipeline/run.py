@@ -203,6 +203,8 @@ class Run:
                 result = self._tracker.step(window)
                 updates = self._tracker.take_updates()
                 self._writer.append(result, updates)
+                for text in self._live.notes() if self._live is not None else ():
+                    self._writer.note(LogEntry(window=result.window, level="warning", text=text))
                 self._end_event, self._last_us = result.end_event, result.end_us
                 if logger is not None:
                     logger.log(result, updates, window)
