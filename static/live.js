@@ -52,8 +52,11 @@ export function liveStrip(state, { follow, problem }) {
     const parts = [];
     if (Number.isFinite(p?.share)) parts.push(percent(p.share));
     if (Number.isFinite(p?.events_per_second)) parts.push(megaRate(p.events_per_second));
-    if (Number.isFinite(p?.real_time_factor)) parts.push(`${fixed(p.real_time_factor, 1)}× real time`);
-    if (Number.isFinite(p?.lag_s)) parts.push(`${fixed(p.lag_s, 1)} s behind`);
+    if (Number.isFinite(p?.real_time_factor) && !p.stream) parts.push(`${fixed(p.real_time_factor, 1)}× real time`);
+    if (Number.isFinite(p?.lag_s)) parts.push(p.stream ? `pose after ${fixed(1000 * p.lag_s, 0)} ms` : `${fixed(p.lag_s, 1)} s behind`);
+    if (Number.isFinite(p?.latency_median_ms)) parts.push(`median ${fixed(p.latency_median_ms, 0)}, 95 % ${fixed(p.latency_p95_ms, 0)} ms`);
+    if (Number.isFinite(p?.used_share)) parts.push(`${percent(p.used_share)} of the events used`);
+    if (p?.stream === "lost") parts.splice(0, parts.length, p.notice ?? "the stream was lost");
     setText(byId("live-text"), parts.join(" · "));
   });
 }
