@@ -128,9 +128,9 @@ def make_session(path: Path, recording: Path, windows: int) -> Path:
 
 
 @contextmanager
-def running(paths: tuple[Path, ...], sessions_dir: Path) -> Iterator[Dashboard]:
+def running(paths: tuple[Path, ...], sessions_dir: Path, recordings: tuple[Path, ...] = ()) -> Iterator[Dashboard]:
     """A real server on any port, in a thread of this process."""
-    dashboard = Dashboard(paths, sessions_dir=sessions_dir, port=0)
+    dashboard = Dashboard(paths, sessions_dir=sessions_dir, port=0, recordings=recordings)
     thread = threading.Thread(target=dashboard.run)
     thread.start()
     try:

@@ -77,7 +77,13 @@ class _Child:
         if order.branch_of is not None:
             wanted = pipeline.Branch(window=order.window, config=order.config, T_world_camera=order.T_world_camera)
             pipeline.branch(
-                recording, order.branch_of, order.out, wanted, progress=self._progress, cancel=self.cancel
+                recording,
+                order.branch_of,
+                order.out,
+                wanted,
+                progress=self._progress,
+                cancel=self.cancel,
+                replayed=lambda share: self._tell(Stage.COMPILING, {"share": share}),
             )
             return
         if order.camera is not None:

@@ -225,7 +225,7 @@ class Manager:
 
         Raises:
             KeyError: there is no such session.
-            DvsvizError: it is being written, or it is the origin of a branch that waits for its turn.
+            DvsvizError: it is being written, or a branch is being made of it.
         """
         run = self._runs.get(name)
         try:
@@ -251,7 +251,7 @@ class Manager:
             raise KeyError("there is no session of this name") from None
         for other in self._runs.all_open():
             if other.order.branch_of is not None and other.order.branch_of == path:
-                raise DvsvizError(f"{other.order.name} is being made of {name}", hint="wait until it has begun")
+                raise DvsvizError(f"{other.order.name} is being made of {name}", hint="wait until that run has ended")
         return path
 
     def _moved(self, name: str, path: Path, wanted: str, folder: Path) -> str:

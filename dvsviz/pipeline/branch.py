@@ -9,6 +9,7 @@ So everything before window w is the parent's, to the bit, and what differs afte
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -29,6 +30,8 @@ from dvsviz.session.store import Origin, Session, SessionHeader, SessionWriter, 
 from dvsviz.tracking.tracker import Tracker
 from dvsviz.tracking.translation import ReliefOdometry
 from dvsviz.tracking.warm_up import warm_up
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -54,6 +57,7 @@ def branch(
     *,
     progress: Callable[[Progress], None] | None = None,
     cancel: threading.Event | None = None,
+    replayed: Callable[[float], None] | None = None,
 ) -> dict[str, Any]:
     """Track a session anew from one window on, into a session of its own, and return the run's summary.
 
@@ -64,6 +68,7 @@ def branch(
         wanted: from where, and what is different.
         progress: called after each new window, in the thread that tracks; it may wait (to pause) but not raise.
         cancel: when set, the run stops after the current window and leaves an incomplete session.
+        replayed: called with the share (0 to 1) of the windows that are replayed first.
 
     Raises:
         RunCancelled: `cancel` was set; what was tracked is in the session.
@@ -76,7 +81,7 @@ def branch(
         header = _branched(recording, session, wanted)
         recording = replace(recording, camera=session.header.camera)
         compile_s = warm_up(wanted.config)
-        tracker, first_event = _tracker_before(recording, session, wanted.window, cancel)
+        tracker, first_event = _tracker_before(recording, session, wanted.window, cancel, replayed)
         failure = _failure_until(session, wanted.window)
     tracker = _changed(recording, tracker, wanted)
     writer = SessionWriter.branch(parent, out, header, windows=wanted.window)
@@ -124,18 +129,15 @@ def _branched(recording: Recording, session: Session, wanted: Branch) -> Session
 
 
 def _tracker_before(
-    recording: Recording, session: Session, window: int, cancel: threading.Event | None
+    recording: Recording,
+    session: Session,
+    window: int,
+    cancel: threading.Event | None,
+    replayed: Callable[[float], None] | None,
 ) -> tuple[Tracker, int]:
     """Return the tracker as it was before a window, and the window's first event."""
-    config = config_at(session.header, window - 1)
-    found = session.checkpoint_at(window - 1) if window > 0 else None
-    if found is None:
-        tracker, index = Tracker(recording.camera, config), 0
-        first_event = part_events(recording, session.header)[0]
-    else:
-        tracker = Tracker.restore(recording.camera, config, found[1], recording.events)
-        index, first_event = found[0] + 1, session.result(found[0]).end_event
-    while index < window:
+    tracker, first = _restored(recording, session, window)
+    for index in range(first, window):
         if cancel is not None and cancel.is_set():
             raise RunCancelled("stopped before its first window", path=session.path)
         # The windows that were stored, so that a later program that would choose others meets the same ones.
@@ -145,8 +147,30 @@ def _tracker_before(
             make_window(recording.camera, events, index=index, first_event=stored.first_event, end_us=stored.end_us)
         )
         tracker.take_updates()
-        first_event, index = stored.end_event, index + 1
-    return tracker, first_event
+        if replayed is not None:
+            replayed((index + 1 - first) / (window - first))
+    if window > 0:
+        return tracker, session.result(window - 1).end_event
+    return tracker, part_events(recording, session.header)[0]
+
+
+def _restored(recording: Recording, session: Session, window: int) -> tuple[Tracker, int]:
+    """Return a tracker at the last checkpoint before a window, and the first window it has not seen."""
+    config = config_at(session.header, window - 1)
+    found = session.checkpoint_at(window - 1) if window > 0 else None
+    if found is not None:
+        try:
+            return Tracker.restore(recording.camera, config, found[1], recording.events), found[0] + 1
+        except ValueError as error:
+            # Of another version of the program: what led there is tracked again.
+            _log.info("checkpoint of window %d of %s: %s", found[0], session.name, error)
+    origin = session.header.origin
+    if origin is not None and found is not None and found[0] >= origin.window - 1:
+        raise ConfigError(
+            f"{session.name} was tried by another version of dvsviz, which cannot be gone on with",
+            hint="try its origin again",
+        )
+    return Tracker(recording.camera, config), 0
 
 
 def _changed(recording: Recording, tracker: Tracker, wanted: Branch) -> Tracker:
