@@ -3,12 +3,14 @@
 const EVERY_MS = 300;
 let timer = 0;
 let latest = null;
+let compared = [];
 
 /** `{token, session, window}` as the address says; null where it does not. */
 export function readAddress(text = location.hash) {
   const fields = new URLSearchParams(text.replace(/^#/, ""));
   const window = Number.parseInt(fields.get("window") ?? "", 10);
-  return { token: fields.get("token"), session: fields.get("session"), window: Number.isInteger(window) ? window : null };
+  const asked = [...fields.getAll("compare"), ...new URLSearchParams(location.search).getAll("compare")];
+  return { token: fields.get("token"), session: fields.get("session"), window: Number.isInteger(window) ? window : null, compare: [...new Set(asked)] };
 }
 
 /** The fragment that opens a session at a window. */
@@ -17,9 +19,19 @@ export function address(session, window) {
   return `#session=${encodeURIComponent(session)}${window === null ? "" : `&window=${window}`}`;
 }
 
+/** The sessions that stand in the address as compared, in place of a `?compare=` one came with. */
+export function writeCompared(names) {
+  compared = names;
+  if (location.search) history.replaceState(null, "", location.pathname + location.hash);
+  if (latest) writeAddress(...last);
+}
+
+let last = [null, null];
+
 /** Writes the address bar, at most every 300 ms: browsers refuse to be hurried. */
 export function writeAddress(session, window, now = false) {
-  latest = address(session, window);
+  last = [session, window];
+  latest = address(session, window) + compared.map((name) => `&compare=${encodeURIComponent(name)}`).join("");
   if (now) clearTimeout(timer), (timer = 0);
   if (timer) return;
   const write = () => {

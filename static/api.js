@@ -57,8 +57,15 @@ export const change = async (name, body) => (await (await post(`${place(name)}/c
 export const run = (name, action) => post(`/api/runs/${encodeURIComponent(name)}`, { action });
 
 /** Columns of a set (`state`, `pose`, `pixels`) from window `start` on: `{start, count, columns: {name: typed array}}`. */
-export async function columns(name, start, set = "state") {
-  return decodeColumns(await (await call(`${place(name)}/columns?start=${start}&set=${set}`)).arrayBuffer());
+export async function columns(name, start, set = "state", base = null) {
+  const laid = base === null ? "" : `&in=${encodeURIComponent(base)}`;
+  return decodeColumns(await (await call(`${place(name)}/columns?start=${start}&set=${set}${laid}`)).arrayBuffer());
+}
+
+/** How sessions differ from one of them, which is first: `[{name, windows, tracked_share, …}]`. */
+export async function compare(name, others) {
+  const asked = others.map((other) => `with=${encodeURIComponent(other)}`).join("&");
+  return (await (await call(`${place(name)}/compare?${asked}`)).json()).sessions;
 }
 
 const TYPES = { f64: Float64Array, f32: Float32Array, u8: Uint8Array, i32: Int32Array, u32: Uint32Array };

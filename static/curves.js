@@ -21,6 +21,10 @@ export const CURVES = [
   ...["x", "y", "z"].map((key) => ({ ...axis(key, "d", 0.02), about: `Position along ${key}, estimate and truth, aligned` })),
   ...[["pitch", "x"], ["yaw", "y"], ["roll", "z"]].map(([key, about]) => ({ ...axis(key, "°", 1), about: `Rotation about ${about}, estimate and truth, aligned` })),
 ];
+const APART = [
+  { key: "apart_percent", label: "apart", unit: "% d", digits: 2, ink: "--dim", floor: 0, least: 1, compared: true },
+  { key: "apart_deg", label: "apart", unit: "°", digits: 2, ink: "--dim", floor: 0, least: 0.5, compared: true },
+];
 const FIRST = ["contrast_gain", "overlap", "event_rate_hz"];
 const WITH_TRUTH = [...FIRST, "error_percent", "error_deg"];
 const WITHOUT_TRUTH = [...FIRST, "score", "confidence"];
@@ -37,7 +41,7 @@ export class Curves {
     if (kept.length) this.#chosen = kept;
     const show = popover(byId("curves-button"), byId("curves-menu"), () => this.#list());
     this.toggle = () => show(byId("curves-menu").hidden);
-    state.watch(["columns", "windows", "detail"], () => this.#apply());
+    state.watch(["columns", "windows", "detail", "compared"], () => this.#apply());
   }
 
   /** The curves that are shown, in their order. */
@@ -45,7 +49,8 @@ export class Curves {
     const { detail, columns } = this.state;
     const suits = detail?.ground_truth && columns?.has("error_percent") ? WITH_TRUTH : WITHOUT_TRUTH;
     const keys = this.#chosen ?? suits;
-    return CURVES.filter(({ key, truth }) => keys.includes(key) && !(truth && detail && !detail.ground_truth));
+    const own = CURVES.filter(({ key, truth }) => keys.includes(key) && !(truth && detail && !detail.ground_truth));
+    return this.state.compared.length ? [...own, ...APART] : own;
   }
 
   #apply() {

@@ -31,6 +31,7 @@ const KEYS = [
     [["."], "gather events for longer", "gatherMore"],
     [["x"], "on and off, on only, off only", "onlyEvents"],
     [["c"], "polarity in two colours", "polarity"],
+    [["m"], "compare with another session", "compare"],
     [["u"], "choose the curves", "curves"],
     [["g"], "landscape of the objective", "landscape"],
     [["+", "="], "zoom in on the playhead", "zoomIn"],

@@ -4,6 +4,7 @@ import { address, readAddress, writeAddress } from "./address.js";
 import * as api from "./api.js";
 import { Beside } from "./beside.js";
 import { Branching } from "./branch.js";
+import { Compare } from "./compare.js";
 import { Curves } from "./curves.js";
 import { byId, make, setText } from "./dom.js";
 import { closeDoor, showBanner, showDoor, showEmpty } from "./door.js";
@@ -63,6 +64,8 @@ const nextTheme = themes(() => {
 sideGrip();
 bottomGrip();
 const curves = new Curves(state, timeline, flash);
+const compare = new Compare({ state, timeline, socket }, { seek: byHand, problem: flash });
+list.compare = (name) => compare.add(name);
 liveStrip(state, { follow: () => viewing.follow(), problem: flash });
 
 // Messages -----------------------------------------------------------------------------------------------
@@ -238,6 +241,7 @@ listenToKeys({
   polarity: togglePolarity,
   landscape: () => landscape.toggle(),
   curves: () => curves.toggle(),
+  compare: () => compare.begin(),
   zoomIn: () => zoomAt(0.5),
   zoomOut: () => zoomAt(2),
   fit: () => timeline.fit(),

@@ -104,6 +104,7 @@ export class Sessions {
         tags,
         sparkline(entry.sparkline ?? [], `States over time: ${tracked}`),
       ),
+      entry.windows ? make("button", { class: "plain more compare-button", title: `Compare ${entry.name} with the open session`, "aria-label": `Compare with ${entry.name}`, dataset: { name: entry.name, act: "compare" }, on: { click: () => this.compare(entry.name) } }, "⇄") : null,
       make("button", { class: "plain more", title: `Rename, tag, delete ${entry.name}`, "aria-label": `More about ${entry.name}`, dataset: { name: entry.name, act: "manage" }, on: { click: () => this.manage(entry.name) } }, "⋯"),
       entry.run ? this.#run(entry) : null,
     );

@@ -20,6 +20,7 @@ const START = {
   problem: null,       // a sentence, while the session cannot be shown
   layers: { map: true, trajectory: true, keyframes: true, truth: true, frustum: true },
   polarity: true,
+  compared: [], // sessions beside the open one: {name, columns, ink, shift}
   drawn: { windows: 1, ms: 0, events: "both" }, // which events the images hold
 };
 

@@ -315,7 +315,9 @@ export class Timeline {
     const box = { left, right, font, ink, dim };
     drawStateLabel(pen, states, font, ink, dim);
     this.#curves.forEach((lane, i) => {
-      const [value, beside] = [lane.key, lane.also?.key].map((key) => (key ? columns.get(key)?.[at] ?? NaN : null));
+      let [value, beside] = [lane.key, lane.also?.key].map((key) => (key ? columns.get(key)?.[at] ?? NaN : null));
+      const [first] = this.#compared;
+      if (lane.compared && first) value = first.columns.get(lane.key)?.[first.columns.windowAt(t[at] - first.shift)] ?? NaN;
       drawLaneLabels(pen, lane, { ...box, top: top + i * row + 2, height: row - 5 }, value, beside);
     });
 

@@ -29,10 +29,12 @@ from dvsviz.gateway.security import Guard, Keys
 from dvsviz.gateway.tabs import TAKEN, Tabs
 from dvsviz.gateway.watch import Watch
 from dvsviz.session.store import add_bookmark, delete_bookmark
+from dvsviz.view.compare import beside_curves, figures
 from dvsviz.view.curves import OccupiedPixels, pose_curves
 from dvsviz.view.shown import ShownSession
 
 _LONGEST_NOTE = 2000
+_MOST_COMPARED = 3
 _ACTIONS = ("pause", "resume", "cancel")
 
 
@@ -68,6 +70,7 @@ class Routes:
             "/api/sessions": (self.sessions, "GET"),
             "/api/sessions/{name}": (self.session, "GET"),
             "/api/sessions/{name}/columns": (self.columns, "GET"),
+            "/api/sessions/{name}/compare": (self.compare, "GET"),
             "/api/sessions/{name}/export": (self.export, "POST"),
             "/api/sessions/{name}/bookmarks": (self.bookmarks, "POST"),
             "/api/exports/{number}": (self.exported, "GET"),
@@ -126,11 +129,25 @@ class Routes:
             "pose": partial(pose_curves, shown),
             "pixels": partial(self._occupied.curve, shown),
         }
+        if "in" in request.query_params:
+            curves["beside"] = partial(beside_curves, shown, await self._named(request.query_params["in"]))
         chosen = request.query_params.get("set", "state")
         if chosen not in curves:
             raise ValueError(f"set: expected one of {', '.join(curves)}")
         data = await asyncio.to_thread(lambda: pack_columns(start, curves[chosen](start)))
         return Response(data, media_type="application/octet-stream")
+
+    async def compare(self, request: Request) -> Response:
+        """Return how sessions differ from this one: figures of each, this one first."""
+        shown = await self._shown(request)
+        names = request.query_params.getlist("with")[:_MOST_COMPARED]
+        others = [shown, *[await self._named(name) for name in names]]
+        table = await asyncio.to_thread(lambda: [figures(other, shown) for other in others])
+        known = {entry["name"]: entry for entry in self._watch.list}
+        for row in table:
+            entry = known.get(row["name"], {})
+            row |= {name: entry.get(name) for name in ("tracked_share", "losses", "state")}
+        return JSONResponse({"sessions": table})
 
     async def export(self, request: Request) -> Response:
         """Begin an export."""
@@ -237,7 +254,9 @@ class Routes:
         await self._proxy.websocket(socket, tab.scene)
 
     async def _shown(self, request: Request) -> ShownSession:
-        name = request.path_params["name"]
+        return await self._named(request.path_params["name"])
+
+    async def _named(self, name: str) -> ShownSession:
         try:
             return await asyncio.to_thread(self._library.open, name)
         except KeyError:

@@ -18,6 +18,7 @@ from dvsviz.gateway.library import Library
 from dvsviz.gateway.messages import pack_images
 from dvsviz.gateway.trial import KINDS, dragged, obey
 from dvsviz.view.cache import ImageCache
+from dvsviz.view.compare import lay
 from dvsviz.view.images import LONGEST_MS, MOST_WINDOWS, ImageKind, ImageOptions
 from dvsviz.view.landscape import LandscapeWish, LandscapeWorker, Objective
 from dvsviz.view.moving import Polarities
@@ -127,6 +128,8 @@ class Tab:
                 await self._open(str(message["session"]))
             elif kind == "landscape":
                 await self._wish_landscape(message)
+            elif kind == "compare":
+                await self._compare([str(name) for name in message["sessions"]], int(message.get("window", 0)))
             elif kind in KINDS:
                 await obey(message, self.shown, self._library, self.scene.trial)
             elif kind == "layers":
@@ -175,6 +178,18 @@ class Tab:
         if self._landscape is not None:
             self._landscape.moved(shown, seek.window)
         self._renderer.mailbox.put(seek)
+
+    async def _compare(self, names: list[str], window: int) -> None:
+        """Draw other sessions in the scene, laid into the world of the one that is shown."""
+        base = self.shown
+        others = [await asyncio.to_thread(self._library.open, name) for name in names]
+
+        def draw() -> None:
+            laid = [] if base is None else [(other, lay(other, base)) for other in others]
+            at = None if base is None or not base.window_count else base.result(min(window, base.window_count - 1))
+            self.scene.compared.show(laid, None if at is None else at.start_us)
+
+        await asyncio.to_thread(draw)
 
     async def _wish_landscape(self, message: dict[str, Any]) -> None:
         """Have the landscape of a window computed in the background; the answer is a message of its own."""

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from dvsviz.session.records import MapRevision
 from dvsviz.view import geometry3d
+from dvsviz.view.compared import ComparedScene
 from dvsviz.view.images import BACKGROUND, ImageKind, texture_picture
 from dvsviz.view.playback import Drawn
 from dvsviz.view.shown import ShownSession
@@ -98,6 +99,7 @@ class TabScene:
         self._server.initial_camera.look_at = (0.0, 0.0, 0.7)
         self._server.initial_camera.fov = _FOV_RAD
         self.trial = TrialScene(self._server, self._lock, dragged)
+        self.compared = ComparedScene(self._server, self._lock)
 
     def open(self, shown: ShownSession) -> None:
         """Show a session from its first window on."""
@@ -106,6 +108,7 @@ class TabScene:
                 handle.remove()
             self._handles.clear()
             self.trial.clear()
+            self.compared.show((), None)
             self._shown, self._map, self._image = shown, None, None
             self._keyframe_windows, self._truth_windows = [], -1
             self._look(shown)
@@ -256,6 +259,7 @@ class TabScene:
         T = shown.poses()[window]
         if not np.all(np.isfinite(T)):
             return
+        self.compared.move(shown.result(window).start_us)
         wxyz, position = geometry3d.quaternions(T[None])[0], T[:3, 3]
         frustum = self._handles.get("frustum")
         if frustum is None:
