@@ -19,10 +19,11 @@ export class Beside {
     socket.addEventListener("open", () => this.name && socket.send({ type: "beside", session: this.name }));
   }
 
-  /** Shows a branch; null shows none. */
-  show(name) {
+  /** Shows a branch that was tried from a window; null shows none. */
+  show(name, window = 0) {
     if (name === this.name) return;
     this.name = name;
+    this.window = window;
     this.columns = null;
     this.timeline.setBeside(null);
     this.socket.send({ type: "beside", session: name });
@@ -46,7 +47,7 @@ export class Beside {
       const columns = new Columns((this.state.detail?.statuses ?? []).map((status) => STATES[status]?.badness ?? 0));
       columns.append(answer);
       this.columns = columns;
-      this.timeline.setBeside(columns);
+      this.timeline.setBeside(columns, this.state.timeOf(this.window) || 0);
       this.changed();
     } catch {
       // It is not there yet, or not any more: the list of sessions says so.

@@ -244,7 +244,7 @@ export class Branching {
     const begun = branches.find(({ name, windows }) => name === this.#wanted && windows > 0);
     if (begun) {
       this.#wanted = null;
-      this.beside.show(begun.name);
+      this.beside.show(begun.name, begun.origin.window);
     }
     const shown = branches.find(({ name }) => name === this.beside.name);
     if (!shown && this.beside.name && sessions) this.beside.show(null);
@@ -266,13 +266,14 @@ export class Branching {
     const button = (what, words, click, extra = {}) => make("button", { type: "button", dataset: { do: what, name }, on: { click }, ...extra }, words);
     const where = { queued: "waits for its turn", starting: "getting to window " + origin.window, failed: error || "failed", live: run?.state === "paused" ? "paused" : "live", incomplete: "ended early" }[state] ?? "done";
     const actions = [];
-    if (windows) actions.push(button("beside", isShown ? "hide" : "show", () => this.beside.show(isShown ? null : name), { "aria-pressed": String(isShown), title: "Draw it beside this session" }));
+    if (windows) actions.push(button("beside", isShown ? "hide" : "show", () => this.beside.show(isShown ? null : name, origin.window), { "aria-pressed": String(isShown), title: "Draw it beside this session" }));
     if (windows) actions.push(make("a", { class: "button", href: address(name, null) }, "open"));
     if (windows && !run) actions.push(make("a", { class: "button", href: `?compare=${encodeURIComponent(name)}${address(this.state.session, null)}` }, "compare"));
     if (run) actions.push(button("stop", "stop", () => api.run(name, "cancel").catch((why) => this.problem(why.message))));
     if (!branch.kept && windows && !run) actions.push(button("keep", "keep…", () => this.manage(name)));
     if (!branch.kept || state === "failed") actions.push(button("discard", "discard", () => this.#discard(name)));
-    const share = Number.isFinite(run?.share) && state === "live" ? make("progress", { max: 1, value: run.share, "aria-label": `Progress of ${name}` }) : null;
+    const isKnown = Number.isFinite(run?.share) && run.stage === "tracking";
+    const share = isKnown ? make("progress", { max: 1, value: run.share, "aria-label": `Progress of ${name}` }) : null;
     return make(
       "li",
       { dataset: { branch: name }, class: isShown ? "shown" : null },

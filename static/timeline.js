@@ -13,6 +13,7 @@ export class Timeline {
   #box = byId("timeline");
   #data = { columns: null, detail: null };
   #beside = null; // columns of a branch, drawn over the session's own
+  #besideFrom = 0; // seconds at which it began
   #curves = [];
   #lanesWanted = [];
   #compared = [];
@@ -80,10 +81,19 @@ export class Timeline {
     });
   }
 
-  /** Draws the curves of a branch over those of the session; null takes them away. */
-  setBeside(columns) {
+  /** Draws the curves of a branch, from where it began, over those of the session; null takes them away. */
+  setBeside(columns, from = 0) {
     this.#beside = columns;
+    this.#besideFrom = from;
     this.redraw();
+  }
+
+  /** Keeps what is drawn to the time that a branch was tracked anew. */
+  #clipBeside(pen, scale, layout) {
+    const x = Math.max(layout.left, scale.x(this.#besideFrom));
+    pen.beginPath();
+    pen.rect(x, 0, Math.max(0, layout.right - x), layout.height);
+    pen.clip();
   }
 
   setPlayhead(window) {
@@ -236,10 +246,12 @@ export class Timeline {
     drawStates(pen, columns, scale, states.top, states.height, this.#fills);
     // A branch's states below, where it has any: half as high, with its colour under them.
     if (this.#beside?.count) {
-      const from = Math.max(left, scale.x(this.#beside.get("t_s")[0]));
+      pen.save();
+      this.#clipBeside(pen, scale, layout);
       pen.fillStyle = themeColour("--tried");
-      pen.fillRect(from, states.top + states.height - 2, right - from, 2);
+      pen.fillRect(left, states.top + states.height - 2, right - left, 2);
       drawStates(pen, this.#beside, scale, states.top + states.height * 0.55, states.height * 0.45 - 2, this.#fills, false);
+      pen.restore();
     }
     this.#curves.forEach((lane, i) => {
       pen.fillStyle = grid;
@@ -252,7 +264,12 @@ export class Timeline {
         drawCurve(pen, other, { ...lane, ink: themeColour(ink) }, moved, top + i * row + 3, row - 7);
         pen.setLineDash([]);
       }
-      if (this.#beside?.count) drawCurve(pen, this.#beside, { ...lane, ink: themeColour("--tried") }, scale, top + i * row + 3, row - 7);
+      if (this.#beside?.count) {
+        pen.save();
+        this.#clipBeside(pen, scale, layout);
+        drawCurve(pen, this.#beside, { ...lane, ink: themeColour("--tried") }, scale, top + i * row + 3, row - 7);
+        pen.restore();
+      }
     });
     this.#paintMarks(pen, scale, marks);
     pen.restore();
