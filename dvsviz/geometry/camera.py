@@ -58,6 +58,11 @@ class Camera:
         return cls(width=width, height=height, fx=f, fy=f, cx=(width - 1) / 2, cy=(height - 1) / 2, is_guess=True)
 
     @property
+    def focal_px(self) -> float:
+        """Mean focal length, px: what a step in bearings or rad is in the image."""
+        return 0.5 * (self.fx + self.fy)
+
+    @property
     def matrix(self) -> NDArray[np.float64]:
         """The calibration matrix K (3, 3), px."""
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])

@@ -27,8 +27,8 @@ ALIGN_EVENTS: Final = 2_000
 ALIGN_ROBUST: Final = 0.7
 # Standard deviations of the constant-velocity prediction that damp weak directions: rad and plane distances, and the
 # residual's variance that turns them into information.
-PRIOR_ROTATION_RAD: Final = 0.02
-PRIOR_POSITION: Final = 0.02
+PRIOR_ROTATION_RAD: Final = 0.01
+PRIOR_POSITION: Final = 0.01
 RESIDUAL_VARIANCE: Final = 0.1
 # Standard deviation (rad, plane distances) of the pull to the first pose until the first refinement.
 ANCHOR: Final = 0.03
@@ -85,10 +85,19 @@ REFINE_CORRELATED: Final = 50.0
 # Largest step (rad, plane distances) below which the rounds end early.
 REFINE_STEP: Final = 2e-4
 # Keyframe counts at which all keyframes are refined together: each about 1.5 times the last.
-REFINE_AT: Final = (5, 8, 12, 18, 27, 40, 60, 90)
+REFINE_AT: Final = (5, 8, 12, 18, 27, 40, 60, 90, 130, 190, 280, 400, 600, 900)
 # Image motion among the keyframes, as a share of the width, without which nothing is refined: over a smaller one the
 # plane's tilt, turning and moving sideways look alike, and a refinement only wanders.
 REFINE_SPREAD: Final = 0.2
+# A refinement is merged as many windows after it began as there are keyframes beyond these: it runs beside the tracker,
+# and always lands at the same window.
+REFINE_AT_ONCE: Final = 8
+# Times that all windows are put back on their common map where there was too little motion to refine, and the standard
+# deviation (rad, plane distances) of the pull to the first pose meanwhile.
+SETTLE_PASSES: Final = 4
+SETTLE_ANCHOR: Final = 0.01
+# Cores that put windows back on the map.
+CORES: Final = 2
 # Most keyframes in one refinement: evenly thinned beyond.
 REFINE_MAX_VIEWS: Final = 90
 

@@ -6,7 +6,8 @@ all three together.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +16,26 @@ from dvsviz.geometry.camera import Camera
 from dvsviz.geometry.plane import Plane
 from dvsviz.session.records import Failure, Keyframe, LogEntry, MapRevision, RefinedPoses, TrackerUpdates
 from dvsviz.tracking import constants as c
-from dvsviz.tracking.align import align
 from dvsviz.tracking.planar_map import PlanarMap
-from dvsviz.tracking.refine import Refinement, View, refine
-from dvsviz.tracking.traces import Trace, add_to_map, correct, with_poses
+from dvsviz.tracking.refining import Refiner, Revised
+from dvsviz.tracking.traces import Trace, add_to_map
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Job:
+    """A refinement that runs.
+
+    Attributes:
+        count: how many traces it was given.
+        land_at: window at which it is merged.
+        future: its result.
+    """
+
+    count: int
+    land_at: int
+    future: Future[Revised]
 
 
 class Mapper:
@@ -34,8 +49,6 @@ class Mapper:
 
     def __init__(self, camera: Camera, free: NDArray[np.bool_], *, solve_normal: bool) -> None:
         self.camera = camera
-        self.free = free
-        self.solve_normal = solve_normal
         self.plane = Plane(normal=np.array([0.0, 0.0, -1.0]))
         self.map: PlanarMap | None = None
         self.traces: list[Trace] = []
@@ -43,7 +56,8 @@ class Mapper:
         self.refinements = 0
         self.revision = -1
         self.tried_at = 0
-        self._focal_px = 0.5 * (camera.fx + camera.fy)
+        self.job: Job | None = None
+        self._refiner = Refiner(camera=camera, free=free, solve_normal=solve_normal)
         self._sensor = (camera.height, camera.width)
         self._new_keyframes: list[Keyframe] = []
         self._new_revisions: list[MapRevision] = []
@@ -68,8 +82,8 @@ class Mapper:
         size = np.array([self.camera.width, self.camera.height])
         return PlanarMap(
             self.plane,
-            self._focal_px / self.plane.distance,
-            -0.5 * size * self.plane.distance / self._focal_px,
+            self.camera.focal_px / self.plane.distance,
+            -0.5 * size * self.plane.distance / self.camera.focal_px,
             self._sensor,
             freeze_px=freeze_px,
         )
@@ -78,7 +92,7 @@ class Mapper:
 
     def remember(self, trace: Trace) -> None:
         """Keep a window that must not write the map."""
-        self.traces.append(trace)
+        self.traces.append(replace(trace, is_trusted=False))
 
     def add(self, trace: Trace, image: NDArray[np.float32], overlap: float) -> int:
         """Write a window to the map; return its keyframe number, or -1."""
@@ -122,7 +136,7 @@ class Mapper:
         cosine = 0.5 * (np.einsum("ij,kij->k", T[:3, :3], Ts[:, :3, :3]) - 1.0)
         turn = np.arccos(np.clip(cosine, -1.0, 1.0))
         shift = np.linalg.norm(Ts[:, :3, 3] - T[:3, 3], axis=1)
-        return self._focal_px * (turn + shift / self.plane.distance)
+        return self.camera.focal_px * (turn + shift / self.plane.distance)
 
     def keyframe_poses(self, most: int) -> list[Array]:
         """Return at most `most` keyframe poses (4, 4), evenly spread."""
@@ -136,100 +150,84 @@ class Mapper:
 
     # --- refining ------------------------------------------------------------------------------------------
 
-    def due(self) -> bool:
-        """Return whether enough keyframes were added for the next refinement."""
-        count = len(self.keyframes)
-        return (
-            any(self.tried_at < at <= count for at in c.REFINE_AT) and self._spread_px() >= self._wanted_spread_px
-        )
+    def advance(self, trace: Trace) -> Trace:
+        """Begin a refinement that is due, merge one whose window has come; return the trace as it is known then.
 
-    @property
-    def _wanted_spread_px(self) -> float:
-        return c.REFINE_SPREAD * self.camera.width
-
-    def _spread_px(self) -> float:
-        """Return how far (px) the image moved between the first keyframe and the one farthest from it."""
-        anchors = [t for t in self.traces if t.keyframe >= 0]
-        return float(self._view_changes_px(anchors[0], anchors).max()) if anchors else 0.0
-
-    def refine(self, trace: Trace) -> Trace:
-        """Refine all keyframes and return the given trace re-expressed."""
-        self._refine(final=False)
+        A refinement runs beside the tracker and is merged at a window that was fixed when it began: how fast the
+        machine is does not change the result.
+        """
+        if self.job is None and self._due():
+            count = len(self.keyframes)
+            self.begin_refinement(len(self.traces), trace.window + max(0, count - c.REFINE_AT_ONCE))
+            self.tried_at = count
+        if self.job is None or trace.window < self.job.land_at:
+            return trace
+        self._merge(self.job)
         for kept in reversed(self.traces):
             if kept.window == trace.window:
                 return kept
         return trace
 
-    def finish(self, *, refine: bool) -> None:
-        """Refine once more with everything that was seen (if asked), and publish the last map."""
-        if self.map is None or not self.traces:
-            return
-        if refine and len(self.keyframes) >= c.REFINE_AT[0] and self._spread_px() >= self._wanted_spread_px:
-            self._refine(final=True)
-        self._publish(self.traces[-1].window)
-
-    def _refine(self, *, final: bool) -> None:
-        self.tried_at = len(self.keyframes)
-        anchors = [t for t in self.traces if t.keyframe >= 0]
-        if len(anchors) > c.REFINE_MAX_VIEWS:
-            pick = np.unique(np.linspace(0, len(anchors) - 1, c.REFINE_MAX_VIEWS).round().astype(int))
-            anchors = [anchors[i] for i in pick]
-        views = [View(bearings=t.deskewed(self.plane), T_world_camera=t.T_world_camera) for t in anchors]
-        result = refine(views, self.plane, self._focal_px, free=self.free, solve_normal=self.solve_normal)
-        window = self.traces[-1].window
-        text = (
-            f"refinement of {len(views)} keyframes: disagreement {result.before_px:.3f} to {result.after_px:.3f} px, "
-            f"{'accepted' if result.accepted else 'refused'}"
+    def begin_refinement(self, count: int, land_at: int) -> None:
+        """Start a refinement of the first `count` traces that is merged at window `land_at`."""
+        pool = ThreadPoolExecutor(1, thread_name_prefix="refinement")
+        future = pool.submit(
+            self._refiner.revise, tuple(self.traces[:count]), self.plane, first=self.refinements == 0
         )
-        self.log(window, "info", text)
-        if not result.accepted and self.refinements > 0:
+        pool.shutdown(wait=False)
+        self.job = Job(count=count, land_at=land_at, future=future)
+
+    def _due(self) -> bool:
+        """Return whether enough keyframes were added for the next refinement."""
+        count = len(self.keyframes)
+        return any(self.tried_at < at <= count for at in c.REFINE_AT) and self._is_spread
+
+    @property
+    def _is_spread(self) -> bool:
+        """True where the image moved enough between the first keyframe and the one farthest from it."""
+        anchors = [t for t in self.traces if t.keyframe >= 0]
+        if not anchors:
+            return False
+        return float(self._view_changes_px(anchors[0], anchors).max()) >= c.REFINE_SPREAD * self.camera.width
+
+    def _merge(self, job: Job) -> None:
+        self.job = None
+        revised = job.future.result()
+        window = self.traces[-1].window
+        self.log(window, "info", revised.text)
+        if revised.planar_map is None:
             return
-        if result.accepted:
-            self._apply(anchors, result)
+        later = self._refiner.append(
+            revised.planar_map, self.traces[job.count - 1], revised.traces[-1], self.traces[job.count :]
+        )
+        self._take_over(revised, [*revised.traces, *later])
+        self._publish(window)
+
+    def _take_over(self, revised: Revised, traces: list[Trace]) -> None:
+        self.traces, self.plane, self.map = traces, revised.plane, revised.planar_map
         self.refinements += 1
-        self._rebuild(realign=True)
-        if final:
-            self._rebuild(realign=True)
         self._new_refined.append(
             RefinedPoses(
                 windows=np.array([t.window for t in self.traces], dtype=np.int64),
                 Ts_world_camera=np.stack([t.T_world_start for t in self.traces]),
             )
         )
-        if not final:
-            self._publish(window)
 
-    def _apply(self, anchors: list[Trace], result: Refinement) -> None:
-        moved = {t.keyframe: T for t, T in zip(anchors, result.Ts_world_camera, strict=True)}
-        self.traces = correct(self.traces, moved)
-        self.plane = result.plane
-
-    def _rebuild(self, *, realign: bool) -> None:
-        """Make the map anew of all traces, then (once) put every window back on it."""
-        rebuilt = self._empty(freeze_px=float("inf"))
-        for trace in self.traces:
-            add_to_map(rebuilt, trace, self._sensor, self.camera.matrix)
-        rebuilt.freeze_px = c.FREEZE_DISPLACEMENT_PX
-        rebuilt.settle()
-        self.map = rebuilt
-        if not realign:
+    def finish(self, *, refine: bool) -> None:
+        """Refine once more with everything that was seen (if asked), and publish the last map."""
+        if self.map is None or not self.traces:
             return
-        poses = []
-        for trace in self.traces:
-            step = max(1, len(trace.bearings) // c.ALIGN_EVENTS)
-            found = align(
-                rebuilt,
-                trace.bearings[::step],
-                trace.t_s[::step] - trace.mid_s,
-                trace.T_world_camera,
-                trace.omega,
-                trace.velocity,
-                focal_px=self._focal_px,
-                free=self.free,
-                first_level=1,
-            )
-            poses.append(found.T_world_camera)
-        self.traces = with_poses(self.traces, poses)
+        if self.job is not None:
+            self._merge(self.job)
+        if refine:
+            if len(self.keyframes) >= c.REFINE_AT[0] and self._is_spread:
+                revised = self._refiner.revise(self.traces, self.plane, first=self.refinements == 0, passes=2)
+            else:
+                revised = self._refiner.settle(self.traces, self.plane)
+            self.log(self.traces[-1].window, "info", revised.text)
+            if revised.planar_map is not None:
+                self._take_over(revised, list(revised.traces))
+        self._publish(self.traces[-1].window)
 
     # --- telling -------------------------------------------------------------------------------------------
 

@@ -52,6 +52,13 @@ class Motion:
     size: float
     searches: int = 0
 
+    def resize(self, displacement_px: float, wanted_px: float) -> None:
+        """Move the window size towards the wanted image displacement."""
+        factor = float(np.clip(wanted_px / max(displacement_px, 0.1), 1 / c.WINDOW_GROWTH, c.WINDOW_GROWTH))
+        # Far off, at once; near, gently, so that a single odd window does not change much.
+        factor = factor if displacement_px < 0.5 * wanted_px else float(np.sqrt(factor))
+        self.size = float(np.clip(self.size * factor, c.WINDOW_EVENTS_MIN, c.WINDOW_EVENTS_MAX))
+
     @classmethod
     def start(cls) -> Motion:
         """Return the state before the first window."""
@@ -92,15 +99,28 @@ def pack(motion: Motion, mapper: Mapper) -> dict[str, np.ndarray]:
         "distance": np.array([mapper.plane.distance]),
         "trace_integers": np.array(
             [
-                (t.window, t.first_event, t.events, t.start_us, t.mid_us, round(t.duration_s * 1e6), t.keyframe)
+                (
+                    t.window,
+                    t.first_event,
+                    t.events,
+                    t.start_us,
+                    t.mid_us,
+                    round(t.duration_s * 1e6),
+                    t.keyframe,
+                    t.is_trusted,
+                )
                 for t in mapper.traces
             ],
             dtype=np.int64,
-        ).reshape(-1, 7),
+        ).reshape(-1, 8),
         "trace_poses": np.array([t.T_world_camera for t in mapper.traces]).reshape(-1, 4, 4),
         "trace_velocities": np.array([[t.omega, t.velocity] for t in mapper.traces]).reshape(-1, 2, 3),
     }
+    if mapper.job is not None:
+        state["job"] = np.array([mapper.job.count, mapper.job.land_at], dtype=np.int64)
     if mapper.map is not None:
+        # Up to date: the density that goes with the votes is a part of the state.
+        mapper.map.pyramid()
         state |= {
             "map_votes": mapper.map.votes.copy(),
             "map_exposure": mapper.map.exposure.copy(),
@@ -164,6 +184,8 @@ def unpack(
             mapper.map.votes = votes
             mapper.map.exposure = np.array(state["map_exposure"], dtype=np.float32)
             mapper.map.settle(int(adds), density)
+        if "job" in state:
+            mapper.begin_refinement(*(int(v) for v in state["job"]))
         return Motion(
             T_world_camera=np.array(state["T_world_camera"]),
             t_us=t_us,
@@ -180,7 +202,7 @@ def unpack(
 
 
 def _trace(integers: np.ndarray, T: Array, speeds: Array, camera: Camera, seed: int, source: EventSource) -> Trace:
-    window, first, count, start_us, mid_us, duration_us, keyframe = (int(v) for v in integers)
+    window, first, count, start_us, mid_us, duration_us, keyframe, trusted = (int(v) for v in integers)
     events = make_window(
         camera,
         source.read(first, first + count),
@@ -202,4 +224,5 @@ def _trace(integers: np.ndarray, T: Array, speeds: Array, camera: Camera, seed: 
         t_s=t_s,
         events=count,
         keyframe=keyframe,
+        is_trusted=bool(trusted),
     )

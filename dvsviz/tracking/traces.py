@@ -41,6 +41,7 @@ class Trace:
         t_s: their times (N,) since `start_us`.
         events: how many events the window had: what the sample stands for.
         keyframe: its keyframe number, or -1.
+        is_trusted: True where it may write to the map.
     """
 
     window: int
@@ -55,6 +56,7 @@ class Trace:
     t_s: Array
     events: int
     keyframe: int = -1
+    is_trusted: bool = True
 
     @property
     def mid_s(self) -> float:

@@ -57,11 +57,9 @@ class Tracker:
     def __init__(self, camera: Camera, config: TrackerConfig | None = None) -> None:
         self.camera = camera
         self.config = config or TrackerConfig()
-        self._focal_px = 0.5 * (camera.fx + camera.fy)
         self._free = free_parameters(self.config.motion)
         self._mapper = Mapper(camera, self._free, solve_normal=self.config.motion == "planar")
         self._motion = Motion.start()
-        self._gain = 1.0
         self.stretch = 1.0
         self._failures = FailureWatch()
         self._relief = ReliefOdometry(camera) if self.config.motion == "translation" else None
@@ -85,7 +83,7 @@ class Tracker:
         mid_us = window.start_us + (window.end_us - window.start_us) // 2
         note = ""
         if self._relief is not None and self._relief.not_a_plane is not False:
-            note = self._look_for_relief(window)
+            note = self._relief.look(window)
         if self._drifts:
             trace, alignment = self._drift(window, sampled, mid_us), None
         elif self._mapper.map is None:
@@ -110,8 +108,8 @@ class Tracker:
             keyframe = self._mapper.add(trace, images.warped, overlap)
         elif self._motion.status is Status.WEAK:
             self._mapper.remember(trace)
-        if not self._drifts and self._mapper.due():
-            trace = self._mapper.refine(trace)
+        if not self._drifts:
+            trace = self._mapper.advance(trace)
         if self._motion.status not in (Status.LOST, Status.RELOCALIZING):
             self._motion.T_world_camera, self._motion.omega, self._motion.velocity = (
                 trace.T_world_camera,
@@ -120,7 +118,8 @@ class Tracker:
             )
             self._motion.t_us = mid_us
         if self._motion.status not in (Status.LOST, Status.RELOCALIZING):
-            self._resize(images.displacement_px)
+            wanted_px = c.WINDOW_DISPLACEMENT_PX if self._relief is None else c.RELIEF_DISPLACEMENT_PX
+            self._motion.resize(images.displacement_px, wanted_px)
         if note:
             self._mapper.log(window.index, "warning" if self._motion.status is Status.LOST else "info", note)
         return WindowResult(
@@ -224,7 +223,13 @@ class Tracker:
         )
         velocity = se3.exp_so3(self._motion.omega * dt_predict).T @ self._motion.velocity
         omega = self._motion.omega
-        alignment = self._align(sampled, (mid_us - window.start_us) * 1e-6, predicted, omega, velocity)
+        mid_s = (mid_us - window.start_us) * 1e-6
+        # Where tracking is well the coarsest level has nothing to find; it is asked where the fit is poor.
+        first = 1 if self._motion.status is Status.TRACKING else 0
+        alignment = self._align(sampled, mid_s, predicted, omega, velocity, first_level=first)
+        if first > 0 and self._agreed(alignment) < c.WEAK_RATIO * self._motion.good_score:
+            wider = self._align(sampled, mid_s, predicted, omega, velocity)
+            alignment = max(alignment, wider, key=self._agreed)
         T = alignment.T_world_camera
         measured_omega = se3.log_so3(self._motion.T_world_camera[:3, :3].T @ T[:3, :3]) / dt
         measured_velocity = T[:3, :3].T @ (T[:3, 3] - self._motion.T_world_camera[:3, 3]) / dt
@@ -232,8 +237,21 @@ class Tracker:
         self._motion.velocity = velocity + c.VELOCITY_GAIN * (measured_velocity - velocity)
         return self._trace(window, sampled, mid_us, T), alignment
 
+    def _agreed(self, alignment: Alignment) -> float:
+        """Return the chance-normalised score of an alignment."""
+        return diagnose.agreement(
+            self._mapper.live_map, alignment.value, alignment.T_world_camera, self.camera
+        ).score
+
     def _align(
-        self, sampled: tuple[NDArray[np.float32], Array], mid_s: float, T: Array, omega: Array, velocity: Array
+        self,
+        sampled: tuple[NDArray[np.float32], Array],
+        mid_s: float,
+        T: Array,
+        omega: Array,
+        velocity: Array,
+        *,
+        first_level: int = 0,
     ) -> Alignment:
         bearings, t_s = sampled
         if len(bearings) > c.ALIGN_EVENTS:
@@ -247,25 +265,11 @@ class Tracker:
             T,
             omega,
             velocity,
-            focal_px=self._focal_px,
+            focal_px=self.camera.focal_px,
             free=self._free,
             anchored=c.ANCHOR**-2 if self._motion.status is Status.INITIALIZING else 0.0,
+            first_level=first_level,
         )
-
-    def _look_for_relief(self, window: EventWindow) -> str:
-        """Advance the odometry on a relief; return what it found out in this window, or ""."""
-        relief = self._relief
-        if relief is None:
-            return ""
-        undecided = relief.not_a_plane is None
-        solved = relief.step(window)
-        self._gain = solved.contrast_after / max(solved.contrast_before, 1e-12)
-        if not undecided or relief.not_a_plane is None:
-            return ""
-        percent = f"inverse depth {100 * relief.unevenness:.0f} % off the best plane"
-        if relief.not_a_plane:
-            return f"the scene is not a plane ({percent}): odometry on a relief, without a map to come back to"
-        return f"the scene is a plane ({percent})"
 
     def _drift(self, window: EventWindow, sampled: tuple[NDArray[np.float32], Array], mid_us: int) -> Trace:
         """Return the window moved on by the relief's velocity: odometry, no reference to come back to."""
@@ -322,7 +326,7 @@ class Tracker:
     def _judge(self, trace: Trace, alignment: Alignment | None, images: WindowImages) -> diagnose.Judgement:
         """Return what the numbers say of a window, and move the status."""
         if self._drifts:
-            sharp = self._gain > c.RELIEF_GAIN
+            sharp = self._relief is not None and self._relief.gain > c.RELIEF_GAIN
             self._motion.status = Status.TRACKING if sharp else Status.WEAK
             return replace(diagnose.Judgement.unknown(), confidence=0.5 if sharp else 0.1)
         if alignment is None:
@@ -361,15 +365,6 @@ class Tracker:
         self, judged: diagnose.Judgement, images: WindowImages, alignment: Alignment | None, trace: Trace
     ) -> tuple[Cause, str]:
         return cause_of(judged, images, alignment, trace.events, self._motion.good_score)
-
-    def _resize(self, displacement: float) -> None:
-        """Move the window size towards the wanted image displacement."""
-        wanted = c.WINDOW_DISPLACEMENT_PX if self._relief is None else c.RELIEF_DISPLACEMENT_PX
-        displacement /= self.stretch
-        factor = float(np.clip(wanted / max(displacement, 0.1), 1 / c.WINDOW_GROWTH, c.WINDOW_GROWTH))
-        # Far off, at once; near, gently, so that a single odd window does not change much.
-        factor = factor if displacement < 0.5 * wanted else float(np.sqrt(factor))
-        self._motion.size = float(np.clip(self._motion.size * factor, c.WINDOW_EVENTS_MIN, c.WINDOW_EVENTS_MAX))
 
     # --- checkpoints ---------------------------------------------------------------------------------------
 

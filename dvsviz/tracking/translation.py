@@ -29,6 +29,7 @@ class ReliefOdometry:
         seen: windows with enough motion to show depth.
         unevenness: largest relative deviation of their reliefs from a plane.
         not_a_plane: None while undecided.
+        gain: contrast of the last window by its contrast without motion.
     """
 
     def __init__(self, camera: Camera) -> None:
@@ -39,6 +40,7 @@ class ReliefOdometry:
         self.seen = 0
         self.unevenness = 0.0
         self.not_a_plane: bool | None = None
+        self.gain = 1.0
 
     def pack(self) -> dict[str, np.ndarray]:
         """Return the state as arrays that `unpack` reads."""
@@ -55,6 +57,18 @@ class ReliefOdometry:
         windows, seen, self.unevenness, decided = (float(v) for v in state["relief_numbers"])
         self.windows, self.seen = int(windows), int(seen)
         self.not_a_plane = None if decided < 0 else decided > 0
+
+    def look(self, window: EventWindow) -> str:
+        """Advance by a window; return what it decided about the scene, or ""."""
+        undecided = self.not_a_plane is None
+        solved = self.step(window)
+        self.gain = solved.contrast_after / max(solved.contrast_before, 1e-12)
+        if not undecided or self.not_a_plane is None:
+            return ""
+        percent = f"inverse depth {100 * self.unevenness:.0f} % off the best plane"
+        if self.not_a_plane:
+            return f"the scene is not a plane ({percent}): odometry on a relief, without a map to come back to"
+        return f"the scene is a plane ({percent})"
 
     def step(self, window: EventWindow) -> Relief:
         """Return the translation and relief of a window, referred to its middle."""

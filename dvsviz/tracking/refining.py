@@ -1,0 +1,165 @@
+"""A refinement as one job: keyframes adjusted, the map made anew, every window put back on it.
+
+The job reads a frozen copy of what the tracker knew and gives back what should take its place, so that it can run
+beside the tracker. What it costs is the tracker's time only where it has to be waited for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvsviz.geometry import se3
+from dvsviz.geometry.camera import Camera
+from dvsviz.geometry.plane import Plane
+from dvsviz.tracking import constants as c
+from dvsviz.tracking.align import align
+from dvsviz.tracking.planar_map import PlanarMap
+from dvsviz.tracking.refine import View, refine
+from dvsviz.tracking.traces import Trace, add_to_map, correct, with_poses
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Revised:
+    """What a refinement made of the traces it was given.
+
+    Attributes:
+        traces: the same windows, re-expressed.
+        plane: the refined plane.
+        planar_map: the map made of them; None where nothing was gained and everything stays as it is.
+        text: what happened, for the log.
+        accepted: True where the held-out disagreement fell; where it did not, poses are only put back on the map.
+    """
+
+    traces: tuple[Trace, ...]
+    plane: Plane
+    planar_map: PlanarMap | None
+    text: str
+    accepted: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Refiner:
+    """What does not change from one refinement to the next.
+
+    Attributes:
+        camera: of the windows.
+        free: mask (6,) of rotation and position.
+        solve_normal: refine the plane's normal too.
+    """
+
+    camera: Camera
+    free: NDArray[np.bool_]
+    solve_normal: bool
+
+    def revise(self, traces: Sequence[Trace], plane: Plane, *, first: bool, passes: int = 1) -> Revised:
+        """Return what takes the place of the traces and the map.
+
+        Args:
+            traces: all windows so far, keyframes among them.
+            plane: as known.
+            first: also make the map anew where the refinement is refused: the first one was written while drifting.
+            passes: how often every window is put back on the map, which is made anew each time.
+        """
+        anchors = [t for t in traces if t.keyframe >= 0]
+        if len(anchors) > c.REFINE_MAX_VIEWS:
+            pick = np.unique(np.linspace(0, len(anchors) - 1, c.REFINE_MAX_VIEWS).round().astype(int))
+            anchors = [anchors[i] for i in pick]
+        views = [View(bearings=t.deskewed(plane), T_world_camera=t.T_world_camera) for t in anchors]
+        result = refine(views, plane, self.camera.focal_px, free=self.free, solve_normal=self.solve_normal)
+        text = (
+            f"refinement of {len(views)} keyframes: disagreement {result.before_px:.3f} to {result.after_px:.3f} px, "
+            f"{'accepted' if result.accepted else 'refused'}"
+        )
+        kept = list(traces)
+        if result.accepted:
+            moved = {t.keyframe: T for t, T in zip(anchors, result.Ts_world_camera, strict=True)}
+            kept, plane = correct(kept, moved), result.plane
+        elif not first:
+            return Revised(traces=tuple(traces), plane=plane, planar_map=None, text=text, accepted=False)
+        planar_map = self.build(kept, plane)
+        for _ in range(passes):
+            kept = self.put_back(planar_map, kept)
+        if passes > 1:
+            planar_map = self.build(kept, plane)
+        return Revised(traces=tuple(kept), plane=plane, planar_map=planar_map, text=text, accepted=result.accepted)
+
+    def settle(self, traces: Sequence[Trace], plane: Plane) -> Revised:
+        """Return every window put back on the map of all, pulled to the first pose, again and again.
+
+        Where the image hardly moved, turning and moving sideways look alike and a refinement only wanders: the least
+        motion that explains the events is the answer that does not depend on how the windows were cut.
+        """
+        kept = list(traces)
+        planar_map = self.build(kept, plane)
+        for _ in range(c.SETTLE_PASSES):
+            kept = self.put_back(planar_map, kept, anchored=c.SETTLE_ANCHOR**-2)
+            planar_map = self.build(kept, plane)
+        text = f"{len(kept)} windows put back on their common map"
+        return Revised(traces=tuple(kept), plane=plane, planar_map=planar_map, text=text, accepted=False)
+
+    def build(self, traces: Sequence[Trace], plane: Plane) -> PlanarMap:
+        """Return the map of all traces, frozen where it was seen well."""
+        size = np.array([self.camera.width, self.camera.height])
+        planar_map = PlanarMap(
+            plane,
+            self.camera.focal_px / plane.distance,
+            -0.5 * size * plane.distance / self.camera.focal_px,
+            (self.camera.height, self.camera.width),
+            freeze_px=float("inf"),
+        )
+        for trace in (t for t in traces if t.is_trusted):
+            add_to_map(planar_map, trace, (self.camera.height, self.camera.width), self.camera.matrix)
+        planar_map.freeze_px = c.FREEZE_DISPLACEMENT_PX
+        planar_map.settle()
+        planar_map.pyramid()
+        return planar_map
+
+    def append(self, planar_map: PlanarMap, before: Trace, after: Trace, later: Sequence[Trace]) -> list[Trace]:
+        """Return windows that were tracked meanwhile, moved along and added to the revised map.
+
+        Args:
+            planar_map: of the refinement; it grows.
+            before: the last window the refinement was given, as it was then.
+            after: the same as refined.
+            later: the windows after it, in order.
+        """
+        R = after.T_world_camera[:3, :3] @ before.T_world_camera[:3, :3].T
+        shift = after.T_world_camera[:3, 3] - before.T_world_camera[:3, 3]
+        sensor, poses = (self.camera.height, self.camera.width), []
+        for trace in later:
+            T = trace.T_world_camera
+            moved = replace(trace, T_world_camera=se3.pose(R @ T[:3, :3], T[:3, 3] + shift))
+            moved = replace(moved, T_world_camera=self._aligned(planar_map, moved))
+            poses.append(moved.T_world_camera)
+            if moved.is_trusted:
+                add_to_map(planar_map, moved, sensor, self.camera.matrix)
+        return with_poses(later, poses)
+
+    def _aligned(self, planar_map: PlanarMap, trace: Trace, *, anchored: float = 0.0) -> Array:
+        step = max(1, len(trace.bearings) // c.ALIGN_EVENTS)
+        return align(
+            planar_map,
+            trace.bearings[::step],
+            trace.t_s[::step] - trace.mid_s,
+            trace.T_world_camera,
+            trace.omega,
+            trace.velocity,
+            focal_px=self.camera.focal_px,
+            free=self.free,
+            first_level=1,
+            anchored=anchored,
+        ).T_world_camera
+
+    def put_back(self, planar_map: PlanarMap, traces: Sequence[Trace], *, anchored: float = 0.0) -> list[Trace]:
+        """Return the traces aligned with a map, on both cores."""
+        planar_map.pyramid()
+        with ThreadPoolExecutor(c.CORES) as pool:
+            return with_poses(traces, list(pool.map(partial(self._aligned, planar_map, anchored=anchored), traces)))
