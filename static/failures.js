@@ -1,10 +1,9 @@
 // The failure sentence under the scene, and the panels that list failures, the log and how the session was made.
 
+import { CAUSES, causeName } from "./causes.js";
 import { byId, make, setText } from "./dom.js";
 import { clockTime, duration, fixed, percent, whole } from "./format.js";
 import { paintBadge } from "./status.js";
-
-const spell = (cause) => cause.replaceAll("_", " ");
 
 export class Failures {
   /** `seek(window)` moves the playhead. */
@@ -12,6 +11,8 @@ export class Failures {
     this.state = state;
     this.seek = seek;
     this.cause = "";
+    this.explained = null; // the failure whose cause is explained, by its first window
+    byId("failure-why").addEventListener("click", () => this.explain());
     byId("failure-next").addEventListener("click", () => this.next());
     byId("failure-previous").addEventListener("click", () => this.previous());
     state.watch(["window", "detail", "columns", "problem", "session"], () => this.#sentence());
@@ -42,6 +43,19 @@ export class Failures {
     return Boolean(found);
   }
 
+  /** Explains the cause of the failure one is in: the list is shown, opened at it. */
+  explain() {
+    const failure = this.state.failureAt(this.state.window);
+    if (!failure) return;
+    this.cause = "";
+    this.explained = failure.start;
+    this.#failureList(this.state.detail);
+    byId("tab-failures").click();
+    const opened = byId("panel-failures").querySelector("[aria-expanded=true]");
+    opened?.scrollIntoView({ block: "nearest" });
+    opened?.focus();
+  }
+
   #choose(tab) {
     for (const other of document.querySelectorAll("[role=tab]")) {
       const chosen = other === tab;
@@ -70,7 +84,7 @@ export class Failures {
     byId("failure-previous").disabled = !failures.some(({ worst }) => worst < state.window);
     if (failure) {
       setText(byId("failure-title"), failure.message);
-      setText(byId("failure-detail"), `${this.#times(failure)} · windows ${failure.start} to ${failure.end - 1}, worst ${failure.worst} · ${spell(failure.cause)}`);
+      setText(byId("failure-detail"), `${this.#times(failure)} · windows ${failure.start} to ${failure.end - 1}, worst ${failure.worst} · ${causeName(failure.cause)}`);
     } else {
       const next = failures.find(({ start }) => start > state.window);
       const calm = { initializing: "Looking for the first velocity and the plane", tracking: "Tracking", weak: "Weak: the pose is doubtful here", lost: "Lost", relocalizing: "Searching the map" }[status];
@@ -80,6 +94,7 @@ export class Failures {
       setText(byId("failure-detail"), failures.length ? count + ahead : state.live ? "No failure so far" : "No failure in this session");
     }
     bar.dataset.failure = failure ? "yes" : "";
+    byId("failure-why").hidden = !failure;
     for (const row of byId("panel-failures").querySelectorAll("[data-start]"))
       row.setAttribute("aria-current", String(Number(row.dataset.start) <= state.window && state.window < Number(row.dataset.end)));
   }
@@ -97,12 +112,23 @@ export class Failures {
     if (!detail?.failures.length) return panel.replaceChildren(make("p", { class: "dim hint" }, detail ? "No window was weak or lost for long." : ""));
     const causes = [...new Set(detail.failures.map(({ cause }) => cause))];
     if (!causes.includes(this.cause)) this.cause = "";
-    const filter = make("select", { "aria-label": "Cause", on: { change: (event) => ((this.cause = event.target.value), this.#failureList(detail)) } }, make("option", { value: "" }, `all causes (${detail.failures.length})`), ...causes.map((cause) => make("option", { value: cause }, `${spell(cause)} (${detail.failures.filter((f) => f.cause === cause).length})`)));
+    const filter = make("select", { "aria-label": "Cause", on: { change: (event) => ((this.cause = event.target.value), this.#failureList(detail)) } }, make("option", { value: "" }, `all causes (${detail.failures.length})`), ...causes.map((cause) => make("option", { value: cause }, `${causeName(cause)} (${detail.failures.filter((f) => f.cause === cause).length})`)));
     filter.value = this.cause;
     const rows = detail.failures.filter(({ cause }) => !this.cause || cause === this.cause).map((failure) =>
-      make("li", {}, make("button", { class: "row", dataset: { start: failure.start, end: failure.end }, on: { click: () => this.seek(failure.worst) } }, make("span", { class: "number dim" }, clockTime(this.state.timeOf(failure.start))), make("span", {}, failure.message))),
+      make("li", { class: "failure-row" }, make("button", { class: "row", dataset: { start: failure.start, end: failure.end }, on: { click: () => this.seek(failure.worst) } }, make("span", { class: "number dim" }, clockTime(this.state.timeOf(failure.start))), make("span", {}, failure.message)), this.#why(failure), this.explained === failure.start ? explanation(failure.cause) : null),
     );
     panel.replaceChildren(causes.length > 1 ? filter : "", make("ul", { class: "rows" }, ...rows));
+  }
+
+  /** The button that explains a failure's cause under it, or hides that. */
+  #why({ start, cause }) {
+    const open = this.explained === start;
+    const toggle = () => {
+      this.explained = open ? null : start;
+      this.#failureList(this.state.detail);
+      byId("panel-failures").querySelector(`[data-why="${start}"]`)?.focus();
+    };
+    return make("button", { class: "plain why", "aria-expanded": String(open), "aria-label": `Why: ${causeName(cause)}`, title: "What this cause means and what can be done", dataset: { why: start }, on: { click: toggle } }, "why?");
   }
 
   #log(detail) {
@@ -134,4 +160,10 @@ export class Failures {
     const settings = detail.config ? make("details", {}, make("summary", {}, "Settings"), make("pre", {}, JSON.stringify(typeof detail.config === "string" ? JSON.parse(detail.config) : detail.config, null, 2))) : "";
     panel.replaceChildren(make("dl", { class: "about number" }, ...rows.flatMap(([name, value]) => [make("dt", {}, name), make("dd", {}, value)])), settings);
   }
+}
+
+/** What a cause means, from what it is told, what can be done. */
+function explanation(cause) {
+  const { name, means, from, todo } = CAUSES[cause] ?? { name: causeName(cause), means: "This cause is not known to this page.", from: "–", todo: "–" };
+  return make("div", { class: "explanation" }, make("h3", {}, name), make("p", {}, means), make("p", {}, make("b", {}, "Told from "), from), make("p", {}, make("b", {}, "What to do "), todo));
 }

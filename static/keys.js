@@ -18,6 +18,7 @@ const KEYS = [
   ["Find", [
     [["n"], "next failure", "nextFailure"],
     [["p"], "previous failure", "previousFailure"],
+    [["w"], "why: explain this failure's cause", "why"],
     [["k"], "next keyframe", "nextKeyframe"],
     [["shift+K"], "previous keyframe", "previousKeyframe"],
     [["b"], "bookmark this window", "bookmark"],

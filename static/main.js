@@ -229,6 +229,7 @@ listenToKeys({
   slower: () => transport.faster(-1),
   nextFailure: () => failures.next(),
   previousFailure: () => failures.previous(),
+  why: () => failures.explain(),
   nextKeyframe: () => toKeyframe(1),
   previousKeyframe: () => toKeyframe(-1),
   bookmark: () => marks.begin(),

@@ -9,7 +9,9 @@ import pytest
 from gateway_samples import make_recording, make_session
 
 from dvsviz.formats.open import open_recording
+from dvsviz.gateway.app import static_folder
 from dvsviz.geometry import se3
+from dvsviz.session.records import Cause
 from dvsviz.session.store import open_session
 from dvsviz.view.curves import OccupiedPixels, axis_angles, pose_curves
 from dvsviz.view.shown import ShownSession
@@ -68,3 +70,11 @@ def test_events_of_several_windows_and_of_milliseconds(shown: ShownSession) -> N
     last = max(int(part.events.t_us[-1]) for part in parts)
     assert last < start_us + 1000 * length_ms
     assert len(shown.events_from(38, 9, 0)) == 2  # the session ends
+
+
+@pytest.mark.parametrize("cause", list(Cause))
+def test_each_cause_is_explained_in_the_page_and_in_the_manual(cause: Cause) -> None:
+    page = (static_folder() / "causes.js").read_text(encoding="utf-8")
+    manual = (Path(__file__).parents[1] / "docs" / "failures.md").read_text(encoding="utf-8")
+    assert f"\n  {cause}: {{" in page
+    assert f"\n| `{cause}` |" in manual

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 from browser_page import Dashboard
+from browser_samples import FAILURES
 
 pytestmark = pytest.mark.browser
 
@@ -149,4 +150,23 @@ def test_curves_are_chosen_and_drawn(dashboard: Dashboard) -> None:
     assert menu.get_by_label("roll").is_checked()
     menu.get_by_role("button", name="As at first").click()
     assert not menu.get_by_label("roll").is_checked()
+    assert not dashboard.problems
+
+
+def test_causes_are_explained_and_filtered(dashboard: Dashboard) -> None:
+    dashboard.enter("barcode", FAILURES[1].worst)
+    dashboard.press("w")
+    panel = dashboard.page.locator("#panel-failures")
+    assert "farther than the search reaches" in panel.locator(".explanation").inner_text()
+    dashboard.press("Enter")  # the button has the focus: it hides what it showed
+    assert panel.locator(".explanation").count() == 0
+    panel.get_by_role("button", name="Why: too little texture").click()
+    assert "150 edge pixels" in panel.locator(".explanation").inner_text()
+    panel.get_by_label("Cause", exact=True).select_option("too_fast")
+    assert panel.locator(".failure-row").count() == 1
+    dashboard.press("p")
+    dashboard.page.locator("#failure-why").click()
+    assert "Told from" in panel.locator(".explanation").inner_text()
+    dashboard.run("seek(50)")
+    assert dashboard.page.locator("#failure-why").is_hidden()
     assert not dashboard.problems
