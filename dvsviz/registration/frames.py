@@ -173,7 +173,7 @@ def open_frames(
         )
     if depth_scale is not None and not 0 < depth_scale < 1e9:
         raise FormatError(f"depth scale: expected units a metre above 0, got {depth_scale}", path=path)
-    candidates = [path, *sorted(p for p in path.iterdir() if p.is_dir())]
+    candidates = _candidates(path)
     for folder in candidates:
         if any(_FRAME_NAME.search(p.name) for p in folder.glob("frame-*.color.png")):
             return _with_rig(_open_numbered(folder, calibration, depth_scale or FOLDER_DEPTH_SCALE), rig)
@@ -184,6 +184,15 @@ def open_frames(
     raise FormatError(
         "found neither rgb.txt nor frame-*.color.png", path=path, hint="give the folder that holds them"
     )
+
+
+def is_frame_folder(path: Path) -> bool:
+    """Return whether `open_frames` knows a folder's layout; the text layout of event recordings is another one."""
+    return any((p / "rgb.txt").is_file() or any(p.glob("frame-*.color.png")) for p in _candidates(path))
+
+
+def _candidates(path: Path) -> list[Path]:
+    return [path, *sorted(p for p in path.iterdir() if p.is_dir())]
 
 
 def _with_rig(frames: FileFrames, kind: RigKind) -> FileFrames:

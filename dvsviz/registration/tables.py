@@ -21,8 +21,8 @@ _COLUMNS: tuple[tuple[str, str, Callable[[StudyRow], str]], ...] = (
     ("mode", "Mode", lambda r: r.mode),
     ("failed", "Failed", lambda r: f"{r.failures}/{r.registered}"),
     ("scale", "Scale", lambda r: r.scale),
-    ("matches", "Matches", lambda r: f"{r.matches:.0f}"),
-    ("inliers", "Inliers", lambda r: f"{r.inliers:.0f}"),
+    ("matches", "Matches", lambda r: _count(r.matches)),
+    ("inliers", "Inliers", lambda r: _count(r.inliers)),
     ("rel rot rad", "Rel. rot. (rad)", lambda r: _pair(r.relative_rotation_rad, r.relative_rotation_std_rad)),
     ("rel trans m", "Rel. trans. (m)", lambda r: _pair(r.relative_translation_m, r.relative_translation_std_m)),
     ("abs rot rad", "Abs. rot. (rad)", lambda r: _pair(r.absolute_rotation_rad, r.absolute_rotation_std_rad)),
@@ -45,6 +45,10 @@ def format_table(rows: Sequence[StudyRow], kind: TableFormat = "text") -> str:
 
 def _pair(mean: float, deviation: float) -> str:
     return "-" if not np.isfinite(mean) else f"{mean:.4f} ± {deviation:.4f}"
+
+
+def _count(value: float) -> str:
+    return f"{value:.0f}" if np.isfinite(value) else "-"
 
 
 def _text(rows: Sequence[StudyRow]) -> str:

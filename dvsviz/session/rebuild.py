@@ -20,6 +20,8 @@ from dvsviz.session.reading import read_column, read_flat, read_table
 _SLAB_BYTES = 16 << 20
 # HDF5 1.10's layout: the first with SWMR, so that every HDF5 since 2016 can read the file.
 _LIBVER = "v110"
+# What a registration of frames keeps beside its windows: it belongs to the whole session and never grows.
+REGISTRATION = "registration"
 
 
 def create_file(
@@ -60,6 +62,8 @@ def copy_header(source: h5py.File) -> Callable[[h5py.File], None]:
         camera = file.create_group("camera")
         for name in source["camera"].attrs:
             camera.attrs[name] = source["camera"].attrs[name]
+        if REGISTRATION in source:
+            source.copy(REGISTRATION, file)
 
     return fill
 
