@@ -16,6 +16,7 @@ from dvsviz.events.recording import Imu, MemoryEvents, Recording
 from dvsviz.formats.convert import Selection, convert, target_of
 from dvsviz.formats.ground_truth import read_ground_truth
 from dvsviz.formats.open import open_recording
+from dvsviz.formats.uzh_writer import write_uzh
 from dvsviz.geometry.camera import Camera
 from dvsviz.geometry.trajectory import Trajectory
 
@@ -205,3 +206,12 @@ def test_command(tmp_path: Path, recording: Recording, capsys: pytest.CaptureFix
     assert "(17, 9) 5" in (text := capsys.readouterr().out) and "▇" in text
     assert main(["info", str(tmp_path / "w.h5"), "--ground-truth", "/pose"]) == 2
     assert "the recording is no bag" in capsys.readouterr().err
+
+
+def test_a_guessed_calibration_is_not_written_as_a_real_one(recording: Recording, tmp_path: Path) -> None:
+    guessed = replace(recording, camera=Camera.guess(W, H), frames=None)
+    write_uzh(guessed, tmp_path / "out")
+    assert not (tmp_path / "out" / "calib.txt").exists()
+    again = open_recording(tmp_path / "out")
+    assert again.camera.is_guess and (again.camera.width, again.camera.height) == (W, H)
+    assert again.events.count == recording.events.count

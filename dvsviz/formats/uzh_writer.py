@@ -25,7 +25,8 @@ def write_uzh(recording: Recording, folder: Path) -> None:
 
     Times have six decimals, everything else as many digits as it needs. Inertial measurements without acceleration
     are left out, as the layout has no word for them. Where neither the frames nor the layout's own 240 x 180 say the
-    sensor's size, a second line of `calib.txt` does.
+    sensor's size, a second line of `calib.txt` does. A guessed calibration is not written, as the layout could not say
+    that it is one: then the size is the first line of `events.txt`.
 
     Args:
         recording: what is written.
@@ -36,12 +37,16 @@ def write_uzh(recording: Recording, folder: Path) -> None:
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        camera = recording.camera
         with (folder / "events.txt").open("wb") as out:
+            if camera.is_guess:
+                out.write(f"{camera.width} {camera.height}\n".encode())
             for events in recording.chunks(1 << 18):
                 data = np.empty(len(events) * _MOST_BYTES, np.uint8)
                 size = _format(events.t_us, events.x_px, events.y_px, events.is_positive, data)
                 out.write(data[:size].tobytes())
-        _write_calibration(recording.camera, folder, has_frames=recording.frames is not None)
+        if not camera.is_guess:
+            _write_calibration(camera, folder, has_frames=recording.frames is not None)
         if recording.ground_truth is not None:
             _write_poses(recording.ground_truth, folder / "groundtruth.txt")
         if recording.imu is not None:
