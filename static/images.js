@@ -78,8 +78,9 @@ export class Images {
       const wide = (place.clientWidth - 1.2 * font) / columns - 0.5 * font;
       return Math.min(wide, Math.max(5.5 * font, tall / Math.ceil(count / columns) - 1.7 * font) * aspect);
     };
-    let columns = 1;
-    for (let more = 2; more <= Math.min(count, 4); more++) if (size(more) > size(columns) + 1 || (size(more) >= size(columns) - 1 && Math.ceil(count / more) < Math.ceil(count / columns))) columns = more;
+    // One column only where that is worth its black sides.
+    let columns = count > 1 && size(1) < 1.3 * size(2) ? 2 : 1;
+    for (let more = columns + 1; more <= Math.min(count, 4); more++) if (size(more) > size(columns) + 1 || (size(more) >= size(columns) - 1 && Math.ceil(count / more) < Math.ceil(count / columns))) columns = more;
     place.style.setProperty("--columns", String(columns));
     place.style.setProperty("--rows", String(Math.ceil(count / columns)));
   }

@@ -173,7 +173,7 @@ export class Landscape {
   #layout() {
     const box = this.canvas.parentElement.getBoundingClientRect();
     const font = parseFloat(getComputedStyle(document.documentElement).fontSize) * 0.88;
-    const [left, right, top, bottom] = [font * 5.2, font * 5.6, font * 0.9, font * 3.6];
+    const [left, right, top, bottom] = [font * 5.2, font * 5.6, font * 0.9, font * 4.2];
     const size = Math.max(60, Math.min(box.width - left - right, box.height - top - bottom));
     return { width: box.width, height: box.height, font, left: left + Math.max(0, (box.width - left - right - size) / 2), top, size };
   }
@@ -264,9 +264,8 @@ export class Landscape {
     }
     pen.fillStyle = ink;
     pen.textBaseline = "top";
-    pen.textAlign = "center";
-    pen.fillText(relative ? "contrast" : "map score", left + font, top + size + 6);
-    if (relative) pen.fillText("estimate = 1", left + font, top + size + 6 + 1.25 * font);
+    pen.fillText(relative ? "contrast," : "map score", left, top + size + 6 + 1.35 * font);
+    if (relative) pen.fillText("estimate = 1", left, top + size + 6 + 2.5 * font);
   }
 
   /** Says what stands under the pointer. */
