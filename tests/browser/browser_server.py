@@ -16,9 +16,9 @@ PROGRAM = [sys.executable, "-m", "dvsviz", "serve"]
 class served:
     """The program as a user starts it, stopped as a user stops it."""
 
-    def __init__(self, folder: Path, cache: Path, *recordings: Path) -> None:
+    def __init__(self, folder: Path, cache: Path, *arguments: Path | str) -> None:
         environment = {**os.environ, "DVSVIZ_CACHE": str(cache), "PYTHONUNBUFFERED": "1"}
-        command = [*PROGRAM, *map(str, recordings), "--sessions", str(folder), "--no-browser", "--port", "0"]
+        command = [*PROGRAM, *map(str, arguments), "--sessions", str(folder), "--no-browser", "--port", "0"]
         self.process = subprocess.Popen(
             command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
         )
