@@ -62,6 +62,22 @@ class Camera:
         """Mean focal length, px: what a step in bearings or rad is in the image."""
         return 0.5 * (self.fx + self.fy)
 
+    def reduced(self, focal_px: float) -> Camera:
+        """Return the same view on fewer pixels, where the focal length is longer than `focal_px`, else this camera."""
+        scale = focal_px / self.focal_px
+        if scale >= 1.0:
+            return self
+        return Camera(
+            width=max(1, round(self.width * scale)),
+            height=max(1, round(self.height * scale)),
+            fx=self.fx * scale,
+            fy=self.fy * scale,
+            cx=(self.cx + 0.5) * scale - 0.5,
+            cy=(self.cy + 0.5) * scale - 0.5,
+            distortion=self.distortion,
+            is_guess=self.is_guess,
+        )
+
     @property
     def matrix(self) -> NDArray[np.float64]:
         """The calibration matrix K (3, 3), px."""

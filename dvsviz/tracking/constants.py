@@ -8,11 +8,16 @@ from __future__ import annotations
 from typing import Final
 
 # --- windows -------------------------------------------------------------------------------------------------
-# Mean image displacement a window should cover, px: below 1 px events carry little structure, above 4 px constant
-# velocity and the map's blur no longer hold.
-WINDOW_DISPLACEMENT_PX: Final = 3.0
+# Mean image displacement a window should cover, as a share of the image's width: 3 px of 240. Below 1 px events carry
+# little structure, above 4 px of 240 constant velocity no longer holds.
+WINDOW_DISPLACEMENT: Final = 3.0 / 240
 WINDOW_EVENTS_MIN: Final = 800
+# The largest window, for a sensor of so many pixels; more in proportion where there are more.
 WINDOW_EVENTS_MAX: Final = 60_000
+WINDOW_PIXELS: Final = 240 * 180
+# Longest focal length of the tracker's own images, px: 1280x720 at f = 1000 px is tracked to 0.06 % of the distance,
+# far below what is asked, at a twentieth of real time.
+FOCAL_PX: Final = 400.0
 WINDOW_EVENTS_START: Final = 4_000
 # Largest change of the window size from one window to the next.
 WINDOW_GROWTH: Final = 1.5

@@ -9,6 +9,7 @@ from __future__ import annotations
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -44,10 +45,13 @@ class Mapper:
     Args:
         camera: of the windows.
         free: mask (6,) of rotation and position.
+        image_size: (width, height) of the keyframes' images.
         solve_normal: refine the plane's normal too.
     """
 
-    def __init__(self, camera: Camera, free: NDArray[np.bool_], *, solve_normal: bool) -> None:
+    def __init__(
+        self, camera: Camera, free: NDArray[np.bool_], image_size: tuple[int, int], *, solve_normal: bool
+    ) -> None:
         self.camera = camera
         self.plane = Plane(normal=np.array([0.0, 0.0, -1.0]))
         self.map: PlanarMap | None = None
@@ -58,6 +62,7 @@ class Mapper:
         self.tried_at = 0
         self.job: Job | None = None
         self._refiner = Refiner(camera=camera, free=free, solve_normal=solve_normal)
+        self._image_size = image_size
         self._sensor = (camera.height, camera.width)
         self._new_keyframes: list[Keyframe] = []
         self._new_revisions: list[MapRevision] = []
@@ -102,12 +107,13 @@ class Mapper:
             number = len(self.keyframes)
             trace = replace(trace, keyframe=number)
             top = float(np.percentile(image[image > 0], 98)) if (image > 0).any() else 1.0
+            shown = (np.clip(image / max(top, 1e-6), 0, 1) * 255).astype(np.uint8)
             keyframe = Keyframe(
                 keyframe=number,
                 window=trace.window,
                 t_us=trace.start_us,
                 T_world_camera=trace.T_world_start,
-                image=(np.clip(image / max(top, 1e-6), 0, 1) * 255).astype(np.uint8),
+                image=np.asarray(cv2.resize(shown, self._image_size), dtype=np.uint8),
             )
             self.keyframes.append(keyframe)
             self._new_keyframes.append(keyframe)

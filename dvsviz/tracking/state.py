@@ -52,12 +52,12 @@ class Motion:
     size: float
     searches: int = 0
 
-    def resize(self, displacement_px: float, wanted_px: float) -> None:
-        """Move the window size towards the wanted image displacement."""
+    def resize(self, displacement_px: float, wanted_px: float, most: int) -> None:
+        """Move the window size towards the wanted image displacement, up to `most` events."""
         factor = float(np.clip(wanted_px / max(displacement_px, 0.1), 1 / c.WINDOW_GROWTH, c.WINDOW_GROWTH))
         # Far off, at once; near, gently, so that a single odd window does not change much.
         factor = factor if displacement_px < 0.5 * wanted_px else float(np.sqrt(factor))
-        self.size = float(np.clip(self.size * factor, c.WINDOW_EVENTS_MIN, c.WINDOW_EVENTS_MAX))
+        self.size = float(np.clip(self.size * factor, c.WINDOW_EVENTS_MIN, most))
 
     @classmethod
     def start(cls) -> Motion:

@@ -55,21 +55,25 @@ class Tracker:
     """
 
     def __init__(self, camera: Camera, config: TrackerConfig | None = None) -> None:
-        self.camera = camera
+        # Sharp lenses have pixels to spare: the tracker's images have as many as its accuracy can use.
+        self.camera = camera.reduced(c.FOCAL_PX)
+        self._most_events = round(c.WINDOW_EVENTS_MAX * max(1.0, camera.width * camera.height / c.WINDOW_PIXELS))
         self.config = config or TrackerConfig()
         self._free = free_parameters(self.config.motion)
-        self._mapper = Mapper(camera, self._free, solve_normal=self.config.motion == "planar")
+        self._mapper = Mapper(
+            self.camera, self._free, (camera.width, camera.height), solve_normal=self.config.motion == "planar"
+        )
         self._motion = Motion.start()
         self.stretch = 1.0
         self._failures = FailureWatch()
-        self._relief = ReliefOdometry(camera) if self.config.motion == "translation" else None
+        self._relief = ReliefOdometry(self.camera) if self.config.motion == "translation" else None
 
     @property
     def window_size(self) -> int:
         """Events that the next window should have: the configured number, or by the image's motion."""
         if self.config.window is not None:
             return self.config.window
-        return int(np.clip(self._motion.size * self.stretch, c.WINDOW_EVENTS_MIN, c.WINDOW_EVENTS_MAX))
+        return int(np.clip(self._motion.size * self.stretch, c.WINDOW_EVENTS_MIN, self._most_events))
 
     @property
     def status(self) -> Status:
@@ -118,8 +122,9 @@ class Tracker:
             )
             self._motion.t_us = mid_us
         if self._motion.status not in (Status.LOST, Status.RELOCALIZING):
-            wanted_px = c.WINDOW_DISPLACEMENT_PX if self._relief is None else c.RELIEF_DISPLACEMENT_PX
-            self._motion.resize(images.displacement_px, wanted_px)
+            wanted_px = c.WINDOW_DISPLACEMENT * self.camera.width
+            wanted_px = wanted_px if self._relief is None else c.RELIEF_DISPLACEMENT_PX
+            self._motion.resize(images.displacement_px, wanted_px, self._most_events)
         if note:
             self._mapper.log(window.index, "warning" if self._motion.status is Status.LOST else "info", note)
         return WindowResult(
