@@ -40,12 +40,10 @@ export class Viewing {
     if (waiting) return showEmpty(...waitingWords(entry, state.sessions));
     showEmpty(null);
     try {
-      const detail = await api.session(name, this.socket.tab);
+      const [detail, answer] = await Promise.all([api.session(name, this.socket.tab), api.columns(name, 0)]);
       if (mine !== this.#opening) return;
       this.socket.send({ type: "open", session: name });
       const columns = new Columns(detail.statuses.map((status) => STATES[status]?.badness ?? 0));
-      const answer = await api.columns(name, 0);
-      if (mine !== this.#opening) return;
       columns.append(answer);
       const live = detail.state === "live";
       state.set({ detail, columns, windows: columns.count, live });

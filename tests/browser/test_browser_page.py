@@ -195,7 +195,7 @@ _NUMBERS_OUT_OF_VIEW_PX = """() => {
 def test_nothing_overflows_at_any_size(dashboard: Dashboard) -> None:
     page = dashboard
     page.enter("barcode", 106)
-    for width, height in ((1280, 800), (1920, 1080), (3840, 2160), (1024, 768), (820, 1180)):
+    for width, height in ((1280, 800), (1920, 1080), (3840, 2160), (1024, 768), (1024, 1366), (820, 1180)):
         page.page.set_viewport_size({"width": width, "height": height})
         page.page.wait_for_timeout(150)
         assert (width, page.page.evaluate(_OUTSIDE)) == (width, [])
