@@ -151,18 +151,20 @@ export class Landscape {
 
   #judge(a, kind, apart) {
     if (a.at_estimate === null || !a.best) return "The window lies off the map here.";
-    if (apart(a.best, a.estimate) < 1.6) return this.#onRidge(a) ? `The estimate stands on a ridge: ${a.axes[0].name} and ${a.axes[1].name} can hardly be told apart in this window.` : a.truth && apart(a.truth, a.estimate) > 3 && this.#inside(a, a.truth) ? "The estimate stands on the summit of this slice, and the truth does not: this objective prefers a wrong answer here." : "The estimate stands on the summit of this slice.";
+    if (this.#onRidge(a)) return `The estimate stands on a ridge: ${a.axes[0].name} and ${a.axes[1].name} can hardly be told apart in this window.`;
+    if (apart(a.best, a.estimate) < 1.6) return a.truth && apart(a.truth, a.estimate) > 3 && this.#inside(a, a.truth) ? "The estimate stands on the summit of this slice, and the truth does not: this objective prefers a wrong answer here." : "The estimate stands on the summit of this slice.";
     const gain = kind.value === "map" ? a.at_best - a.at_estimate : a.at_best / a.at_estimate - 1;
-    if (gain < 0.02) return "A ridge: other motions far from the estimate are as good, the window cannot tell them apart.";
+    if (gain < 0.02) return "Another place of this slice is as good as the estimate: the window does not tell them apart.";
     const more = kind.value === "map" ? `map score ${fixed(a.at_best)} instead of ${fixed(a.at_estimate)}` : `${fixed(100 * gain, 0)} % more contrast`;
     const nearTruth = a.truth && apart(a.best, a.truth) < Math.min(4, apart(a.estimate, a.truth));
     return `There is a higher summit in this slice (${more})${nearTruth ? ", and the truth lies there: the search ended in a local optimum." : ": the search ended beside it."}`;
   }
 
-  /** Whether the best of the slice's edge is nearly as high as the summit. */
-  #onRidge({ values, cells }) {
+  /** Whether the slice's edge keeps nearly the height of its summit, and the estimate does too. */
+  #onRidge({ values, cells, at_estimate: at }) {
     const known = values.flat().filter(Number.isFinite);
     const [low, high] = [Math.min(...known), Math.max(...known)];
+    if (at < low + RIDGE * (high - low)) return false;
     const edge = values.flatMap((row, r) => row.filter((_, c) => [0, cells - 1].includes(r) || [0, cells - 1].includes(c)));
     return Math.max(...edge.filter(Number.isFinite)) > low + RIDGE * (high - low);
   }
@@ -173,9 +175,10 @@ export class Landscape {
   #layout() {
     const box = this.canvas.parentElement.getBoundingClientRect();
     const font = parseFloat(getComputedStyle(document.documentElement).fontSize) * 0.88;
-    const [left, right, top, bottom] = [font * 5.2, font * 5.6, font * 0.9, font * 4.2];
+    const [left, right, top, bottom] = [font * 5.2, font * 7, font * 0.9, font * 4.2];
     const size = Math.max(60, Math.min(box.width - left - right, box.height - top - bottom));
-    return { width: box.width, height: box.height, font, left: left + Math.max(0, (box.width - left - right - size) / 2), top, size };
+    const middle = (free) => Math.max(0, free / 2);
+    return { width: box.width, height: box.height, font, left: left + middle(box.width - left - right - size), top: top + middle(box.height - top - bottom - size), size };
   }
 
   #paint() {
