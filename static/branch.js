@@ -11,6 +11,8 @@ import { nudged } from "./poses.js";
 import { Settings } from "./settings.js";
 
 const PREVIEW_MS = 120;
+const STOP_MS = 200; // a run that is stopped needs a moment to end
+const STOP_TRIES = 60;
 const MOVE = 0.01; // plane distances
 const TURN = 1; // degrees
 const AXES = ["x", "y", "z"];
@@ -214,25 +216,15 @@ export class Branching {
 
   async #discard(name) {
     if (!(await ask(`Discard “${name}”?`, "The branch is deleted. The session it was tried from and the recording stay.", "Discard", "Keep it"))) return;
+    const entry = () => this.state.sessions?.find((session) => session.name === name);
     try {
-      const entry = this.state.sessions?.find((session) => session.name === name);
-      if (entry?.run) await api.run(name, "cancel");
       if (this.beside.name === name) this.beside.show(null);
-      if (entry?.windows || !entry?.run) await this.#deleted(name);
+      // A run that ends at this very moment cannot be stopped any more, which is as well.
+      if (entry()?.run) await api.run(name, "cancel").catch(() => {});
+      for (let tries = 0; entry()?.run && tries < STOP_TRIES; tries++) await new Promise((resolve) => setTimeout(resolve, STOP_MS));
+      if (entry()) await api.change(name, { do: "delete", name });
     } catch (error) {
       this.problem(error.message);
-    }
-  }
-
-  /** Deletes a branch whose run may need a moment to end. */
-  async #deleted(name) {
-    for (let tries = 0; ; tries++) {
-      try {
-        return await api.change(name, { do: "delete", name });
-      } catch (error) {
-        if (tries > 15 || error.status !== 409) throw error;
-        await new Promise((resolve) => setTimeout(resolve, 300));
-      }
     }
   }
 
@@ -264,7 +256,7 @@ export class Branching {
     const { name, origin, run, state, windows, error } = branch;
     const isShown = this.beside.name === name;
     const button = (what, words, click, extra = {}) => make("button", { type: "button", dataset: { do: what, name }, on: { click }, ...extra }, words);
-    const where = { queued: "waits for its turn", starting: "getting to window " + origin.window, failed: error || "failed", live: run?.state === "paused" ? "paused" : "live", incomplete: "ended early" }[state] ?? "done";
+    const where = { queued: "waits for its turn", starting: "getting to window " + origin.window, failed: error || "failed", live: run?.state === "paused" ? "paused" : "live", incomplete: "ended early" }[state] ?? (run ? "ending" : "done");
     const actions = [];
     if (windows) actions.push(button("beside", isShown ? "hide" : "show", () => this.beside.show(isShown ? null : name, origin.window), { "aria-pressed": String(isShown), title: "Draw it beside this session" }));
     if (windows) actions.push(make("a", { class: "button", href: address(name, null) }, "open"));
