@@ -1,6 +1,6 @@
 """Make the pictures of the documentation: the dashboard in a real browser, at several sizes, dark and light.
 
-    python examples/screenshots.py ADDRESS [--session NAME] [--window K] [--out docs/pictures]
+    python examples/screenshots.py ADDRESS [--session NAME] [--window K] [--compare NAME] [--out docs/pictures]
 
 ADDRESS is what `dvsviz serve` or `python app.py` prints.
 """
@@ -29,6 +29,11 @@ SHOTS: dict[str, tuple[int, int, Literal["dark", "light"]]] = {
     "dashboard-tablet-upright": (820, 1180, "dark"),
 }
 SCENE_S = 8.0
+# Keys pressed for further pictures, where the window is one that has a cause to be seen.
+WITH_KEYS: dict[str, tuple[Literal["dark", "light"], tuple[str, ...]]] = {
+    "landscape": ("dark", ("g", "w")),
+    "curves": ("light", ("u",)),
+}
 
 
 def until_shown(page: Page) -> None:
@@ -45,6 +50,7 @@ def main() -> None:
     parser.add_argument("address")
     parser.add_argument("--session")
     parser.add_argument("--window", type=int)
+    parser.add_argument("--compare", help="another session of the same recording, for the picture of comparing")
     parser.add_argument("--out", type=Path, default=Path("docs/pictures"))
     asked = parser.parse_args()
     asked.out.mkdir(parents=True, exist_ok=True)
@@ -65,6 +71,23 @@ def main() -> None:
                 page.keyboard.press("?")
                 page.screenshot(path=asked.out / "keys.png")
             print(asked.out / f"{name}.png")
+            page.close()
+        for name, (scheme, keys) in WITH_KEYS.items():
+            page = browser.new_page(viewport={"width": 1280, "height": 800}, color_scheme=scheme)
+            page.goto(address)
+            until_shown(page)
+            for key in keys:
+                page.keyboard.press(key)
+            page.wait_for_timeout(6000)
+            page.screenshot(path=asked.out / f"{name}.png")
+            print(asked.out / f"{name}.png")
+            page.close()
+        if asked.compare:
+            page = browser.new_page(viewport={"width": 1280, "height": 800}, color_scheme="dark")
+            page.goto(f"{address}&compare={asked.compare}")
+            until_shown(page)
+            page.screenshot(path=asked.out / "compare.png")
+            print(asked.out / "compare.png")
             page.close()
         browser.close()
 

@@ -115,7 +115,7 @@ export class Failures {
     const filter = make("select", { "aria-label": "Cause", on: { change: (event) => ((this.cause = event.target.value), this.#failureList(detail)) } }, make("option", { value: "" }, `all causes (${detail.failures.length})`), ...causes.map((cause) => make("option", { value: cause }, `${causeName(cause)} (${detail.failures.filter((f) => f.cause === cause).length})`)));
     filter.value = this.cause;
     const rows = detail.failures.filter(({ cause }) => !this.cause || cause === this.cause).map((failure) =>
-      make("li", { class: "failure-row" }, make("button", { class: "row", dataset: { start: failure.start, end: failure.end }, on: { click: () => this.seek(failure.worst) } }, make("span", { class: "number dim" }, clockTime(this.state.timeOf(failure.start))), make("span", {}, failure.message)), this.#why(failure), this.explained === failure.start ? explanation(failure.cause) : null),
+      make("li", { class: "failure-row" }, make("button", { class: "row", dataset: { start: failure.start, end: failure.end }, on: { click: () => this.seek(failure.worst) } }, make("span", { class: "number dim" }, clockTime(this.state.timeOf(failure.start))), make("span", {}, failure.message)), this.#why(failure), this.explained === failure.start ? this.#explanation(failure) : null),
     );
     panel.replaceChildren(causes.length > 1 ? filter : "", make("ul", { class: "rows" }, ...rows));
   }
@@ -129,6 +129,13 @@ export class Failures {
       byId("panel-failures").querySelector(`[data-why="${start}"]`)?.focus();
     };
     return make("button", { class: "plain why", "aria-expanded": String(open), "aria-label": `Why: ${causeName(cause)}`, title: "What this cause means and what can be done", dataset: { why: start }, on: { click: toggle } }, "why?");
+  }
+
+  /** What a cause means, from what it is told, what can be done, and the way to the landscape of the worst window. */
+  #explanation({ cause, worst }) {
+    const { name, means, from, todo } = CAUSES[cause] ?? { name: causeName(cause), means: "This cause is not known to this page.", from: "–", todo: "–" };
+    const look = make("button", { on: { click: () => (this.seek(worst), this.look()) } }, `Landscape at its worst window, ${worst}`);
+    return make("div", { class: "explanation" }, make("h3", {}, name), make("p", {}, means), make("p", {}, make("b", {}, "Told from "), from), make("p", {}, make("b", {}, "What to do "), todo), make("p", {}, look));
   }
 
   #log(detail) {
@@ -160,10 +167,4 @@ export class Failures {
     const settings = detail.config ? make("details", {}, make("summary", {}, "Settings"), make("pre", {}, JSON.stringify(typeof detail.config === "string" ? JSON.parse(detail.config) : detail.config, null, 2))) : "";
     panel.replaceChildren(make("dl", { class: "about number" }, ...rows.flatMap(([name, value]) => [make("dt", {}, name), make("dd", {}, value)])), settings);
   }
-}
-
-/** What a cause means, from what it is told, what can be done. */
-function explanation(cause) {
-  const { name, means, from, todo } = CAUSES[cause] ?? { name: causeName(cause), means: "This cause is not known to this page.", from: "–", todo: "–" };
-  return make("div", { class: "explanation" }, make("h3", {}, name), make("p", {}, means), make("p", {}, make("b", {}, "Told from "), from), make("p", {}, make("b", {}, "What to do "), todo));
 }

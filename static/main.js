@@ -55,6 +55,7 @@ const exporting = new Exports(state);
 new Numbers(state);
 const imageBar = new ImageBar(state, images, () => viewing.ask());
 const landscape = new Landscape(state, (message) => socket.send(message));
+failures.look = () => landscape.isOpen || landscape.toggle();
 const marks = new Marks(state, { seek: byHand, problem: flash });
 const nextTheme = themes(() => {
   timeline.restyle();

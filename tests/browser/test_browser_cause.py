@@ -18,6 +18,16 @@ _LIT = """(kind) => {
 }"""
 
 
+# The heat map's canvas has a size and stays inside the scene's place, words and legend too.
+_INSIDE = """() => {
+  const box = document.getElementById("scene").getBoundingClientRect();
+  return [...document.querySelectorAll("#landscape canvas, .landscape-says, .landscape-bar")].every((e) => {
+    const b = e.getBoundingClientRect();
+    return b.left >= box.left - 1 && b.right <= box.right + 1 && b.top >= box.top - 1 && b.bottom <= box.bottom + 1;
+  }) && document.querySelector("#landscape canvas").getBoundingClientRect().height > 150;
+}"""
+
+
 def lit(dashboard: Dashboard, kind: str = "raw") -> int:
     """Pixels of an image that are not background; -1 where it is not shown."""
     return dashboard.page.evaluate(_LIT, kind)
@@ -169,4 +179,10 @@ def test_causes_are_explained_and_filtered(dashboard: Dashboard) -> None:
     assert "Told from" in panel.locator(".explanation").inner_text()
     dashboard.run("seek(50)")
     assert dashboard.page.locator("#failure-why").is_hidden()
+    panel.get_by_role("button", name=f"Landscape at its worst window, {FAILURES[0].worst}").click()
+    dashboard.until_shown(FAILURES[0].worst)
+    assert dashboard.page.locator("#landscape").is_visible()
+    for width, height in ((1280, 800), (3840, 2160), (1024, 1366)):
+        dashboard.page.set_viewport_size({"width": width, "height": height})
+        dashboard.until(lambda: dashboard.page.evaluate(_INSIDE), f"the landscape has its place at {width}", 5)
     assert not dashboard.problems
