@@ -163,9 +163,12 @@ export class Images {
       if (!this.asked.includes(kind)) continue;
       const cell = this.#cells.get(kind);
       const i = images.findIndex((image) => image.kind === kind);
-      setText(cell.note, values ? note(values) : "");
+      // A registration of frames has other pictures in the same places.
+      const caption = values?.captions?.[kind];
+      setText(cell.figure.querySelector(".caption b"), caption?.name ?? name);
+      setText(cell.note, caption ? caption.note : values ? note(values) : "");
       if (i < 0) {
-        this.#blank(cell, why(described, values));
+        this.#blank(cell, caption || values?.captions ? "none of this frame" : why(described, values));
         continue;
       }
       const { width, height } = bitmaps[i];

@@ -136,7 +136,9 @@ def test_refinement_gradient_against_central_differences() -> None:
     h = 1e-7
     for k, d in enumerate(np.eye(6) * h):
         moved = [se3.pose(se3.exp_so3(s * d[:3]) @ T[:3, :3], T[:3, 3] + s * d[3:]) for s in (1.0, -1.0)]
-        slope = (normal_equations(moved[0], matched, 1.0)[0] - normal_equations(moved[1], matched, 1.0)[0]) / (2 * h)
+        slope = (normal_equations(moved[0], matched, 1.0)[0] - normal_equations(moved[1], matched, 1.0)[0]) / (
+            2 * h
+        )
         assert slope == pytest.approx(gradient[k], rel=1e-4, abs=1e-2)
 
 

@@ -35,7 +35,8 @@ class Register:
     """A TUM RGB-D folder, a folder of frame-*.color.png, or an event recording with intensity frames."""
     methods: Annotated[str, arg(metavar="NAME[,NAME...]|source|all")] = "source"
     """essential, kabsch, kabsch-essential, kabsch-pnp, pnp-iterative, epnp (these are: source), homography, pnp-icp,
-    pnp-refined, kabsch-weighted, essential-magsac, homography-magsac, pnp-magsac, and none: what is to be beaten."""
+    pnp-refined, kabsch-weighted, essential-refined, essential-magsac, homography-magsac, pnp-magsac, and none, which
+    is to be beaten."""
     skips: Annotated[tuple[int, ...], *option("N[,N...]", _skips, "1")] = (1,)
     """Frames from one registered frame to the next."""
     features: Features = "sift"

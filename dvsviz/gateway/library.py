@@ -239,7 +239,9 @@ class Library:
 
     def _opened(self, name: str, path: Path) -> ShownSession:
         session = open_session(path)
-        recording, missing = self._recording_of(session)
+        # Registered frames are kept in the session itself.
+        is_frames = session.header.recording_format == "frames"
+        recording, missing = (None, "") if is_frames else self._recording_of(session)
         return ShownSession(session, recording, missing, name=name)
 
     def _recording_of(self, session: Session) -> tuple[Recording | None, str]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvsviz.geometry import se3
+from dvsviz.registration.epipolar import refine_essential
 from dvsviz.registration.records import MatchedPoints, Registration, RegistrationConfig, Scale, failed, homogeneous
 
 Array = NDArray[np.float64]
@@ -23,6 +24,7 @@ def essential(
     *,
     sampler: int = cv2.RANSAC,
     step_length: float | None = None,
+    refined: bool = False,
 ) -> Registration:
     """Return the motion of the essential matrix (five points + RANSAC), its length from depth where there is any.
 
@@ -31,6 +33,7 @@ def essential(
         config: thresholds.
         sampler: OpenCV's `RANSAC`, `USAC_MAGSAC` or `USAC_ACCURATE`.
         step_length: metres travelled, known from a motion model; used where no depth is known.
+        refined: fit it to all inliers, not to the best five points alone.
     """
     if len(matched) < 5:
         return failed(len(matched), f"the essential matrix needs 5 matches, got {len(matched)}")
@@ -52,6 +55,8 @@ def essential(
         return failed(len(matched), f"only {inliers.sum()} matches agree with one essential matrix")
     T_b_a, in_front = _decompose(found[:3], matched[inliers])
     inliers[np.flatnonzero(inliers)[~in_front]] = False
+    if refined and inliers.sum() >= config.min_inliers:
+        T_b_a = refine_essential(T_b_a, matched[inliers], config.threshold_px / 2)
     return _scaled(T_b_a, inliers, matched, step_length)
 
 

@@ -107,6 +107,7 @@ METHODS: dict[str, Method] = {
     "kabsch-pnp": lambda m, c, s: kabsch_on(pnp(m, c), m, c),
     "pnp-iterative": lambda m, c, s: pnp(m, c),
     "epnp": lambda m, c, s: pnp(m, c, solver=cv2.SOLVEPNP_EPNP),
+    "essential-refined": lambda m, c, s: essential(m, c, step_length=s, refined=True),
     "homography": lambda m, c, s: homography(m, c, step_length=s),
     "pnp-refined": lambda m, c, s: pnp_refined(m, c),
     "pnp-icp": lambda m, c, s: pnp_dense(m, c),
@@ -118,7 +119,9 @@ METHODS: dict[str, Method] = {
 
 # The six of seed 002.
 SOURCE_METHODS = ("essential", "kabsch", "kabsch-essential", "kabsch-pnp", "pnp-iterative", "epnp")
-WITHOUT_DEPTH = frozenset({"none", "essential", "essential-magsac", "homography", "homography-magsac"})
+WITHOUT_DEPTH = frozenset(
+    {"none", "essential", "essential-refined", "essential-magsac", "homography", "homography-magsac"}
+)
 
 # These look at whole depth images.
 DENSE = frozenset({"pnp-icp"})

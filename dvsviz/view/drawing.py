@@ -12,6 +12,7 @@ from dvsviz.view import images
 from dvsviz.view.images import ImageKind, ImageOptions
 from dvsviz.view.moving import MovingWindow, true_motion
 from dvsviz.view.picture import Picture
+from dvsviz.view.registration import registration_picture
 from dvsviz.view.shown import ShownSession
 
 
@@ -28,6 +29,8 @@ def draw(shown: ShownSession, window: int, kind: ImageKind, options: ImageOption
         kind: what is drawn.
         options: how it is drawn; several windows are laid on each other by their poses.
     """
+    if shown.registration is not None:
+        return registration_picture(shown.registration, window, kind)
     if kind is ImageKind.TEXTURE:
         revision = shown.map_at(window)
         return None if revision is None else images.texture_picture(revision)

@@ -176,7 +176,7 @@ class Renderer(threading.Thread):
         elif kind in (ImageKind.TEXTURE, ImageKind.RESIDUAL):
             on_map = shown.map_number(window)
         # All windows between two revisions share one texture.
-        place = -1 if kind is ImageKind.TEXTURE else window
+        place = -1 if kind is ImageKind.TEXTURE and shown.registration is None else window
         key = (shown.generation, place, kind, options, on_map)
         image = self._cache.get(key)
         if image is None:

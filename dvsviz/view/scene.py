@@ -26,6 +26,7 @@ from dvsviz.view import geometry3d
 from dvsviz.view.compared import ComparedScene
 from dvsviz.view.images import BACKGROUND, ImageKind, texture_picture
 from dvsviz.view.playback import Drawn
+from dvsviz.view.registration_scene import RegistrationScene
 from dvsviz.view.shown import ShownSession
 from dvsviz.view.trial import TrialScene
 
@@ -98,6 +99,7 @@ class TabScene:
         self._server.initial_camera.position = (0.7, -0.6, -1.1)
         self._server.initial_camera.look_at = (0.0, 0.0, 0.7)
         self._server.initial_camera.fov = _FOV_RAD
+        self._registration = RegistrationScene(self._server)
         self.trial = TrialScene(self._server, self._lock, dragged)
         self.compared = ComparedScene(self._server, self._lock)
 
@@ -111,6 +113,7 @@ class TabScene:
             self.compared.show((), None)
             self._shown, self._map, self._image = shown, None, None
             self._keyframe_windows, self._truth_windows = [], -1
+            self._registration.open(shown.registration)
             self._look(shown)
             self._grow(shown)
         self._server.flush()
@@ -148,6 +151,7 @@ class TabScene:
                 return
             with self._server.atomic():
                 self._move_frustum(shown, window)
+                self._registration.move(shown.registration, window)
                 self._show_image(drawn)
                 self._show_map(shown)
             self._server.flush()
@@ -158,6 +162,7 @@ class TabScene:
             self._layers |= {name: bool(on) for name, on in layers.items() if name in self._layers}
             for name, handle in self._handles.items():
                 handle.visible = self._layers[name]
+            self._registration.set_layers(self._layers)
 
     def stop(self) -> None:
         """Stop the viser server and its threads."""

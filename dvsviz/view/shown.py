@@ -18,7 +18,9 @@ from dvsviz.events.windows import EventWindow, make_window
 from dvsviz.geometry import se3
 from dvsviz.geometry.trajectory import Trajectory
 from dvsviz.session.records import MapRevision, WindowResult
+from dvsviz.session.registration import read_registration
 from dvsviz.session.store import Session, StoredKeyframe
+from dvsviz.view.captions import captions
 from dvsviz.view.moving import true_motion
 
 _AXES = (
@@ -51,6 +53,9 @@ class ShownSession:
         self.recording = recording
         self.missing = missing
         self._lock = threading.RLock()
+        # Frames that were registered: such a session has no events.
+        is_frames = session.header.recording_format == "frames"
+        self.registration = read_registration(session.path) if is_frames else None
         self._forget()
         self._look_up()
 
@@ -273,6 +278,7 @@ class ShownSession:
             "keyframe": r.keyframe,
             "map_revision": r.map_revision,
             "note": r.note if self.recording is not None else self.missing,
+            **({} if self.registration is None else captions(self.registration, window)),
         }
 
 
