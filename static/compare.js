@@ -146,8 +146,9 @@ export class Compare {
       const window = columns.windowAt(time - shift);
       const badge = make("span", { class: "badge" });
       paintBadge(badge, state.detail?.statuses?.[columns.get("status")[window]] ?? null);
-      const apart = [unit(2, " % d")(columns.get("apart_percent")?.[window]), unit(2, "°")(columns.get("apart_deg")?.[window])].join(", ");
-      return make("li", { dataset: { window } }, make("i", { class: "compare-key", dataset: { ink } }), make("b", {}, name), badge, make("span", { class: "dim number" }, `window ${window} · ${apart} apart here`));
+      const [far, turned] = ["apart_percent", "apart_deg"].map((key) => columns.get(key)?.[window]);
+      const apart = Number.isFinite(far) ? `${fixed(far, 2)} % d, ${fixed(turned, 2)}° apart here` : "the open session is lost here";
+      return make("li", { dataset: { window } }, make("i", { class: "compare-key", dataset: { ink } }), make("b", {}, name), badge, make("span", { class: "dim number" }, `window ${window} · ${apart}`));
     });
     this.now.replaceChildren(...rows);
   }
