@@ -237,18 +237,23 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     asked = parser.parse_args()
     figures: dict[str, Any] = {}
+
+    def tell(found: dict[str, Any]) -> None:
+        figures.update(found)
+        if not asked.json:
+            for name, value in found.items():
+                print(f"{name:26} {value}", flush=True)
+
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         with barcode_server(folder, asked.windows) as (client, pid):
-            figures |= asyncio.run(ten_tabs(client, "barcode", asked.windows, seed=1))
-            figures |= asyncio.run(memory(client, "barcode", asked.windows, asked.seeks, pid))
+            tell(asyncio.run(ten_tabs(client, "barcode", asked.windows, seed=1)))
+            if asked.seeks:
+                tell(asyncio.run(memory(client, "barcode", asked.windows, asked.seeks, pid)))
         if asked.repeats:
-            figures |= slowed(folder, asked.seconds, asked.repeats)
+            tell(slowed(folder, asked.seconds, asked.repeats))
     if asked.json:
         print(json.dumps(figures))
-    else:
-        for name, value in figures.items():
-            print(f"{name:26} {value}")
 
 
 if __name__ == "__main__":
