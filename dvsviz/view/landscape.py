@@ -100,7 +100,11 @@ def landscape(
     window, camera = parts[0], shown.session.header.camera
     started = time.perf_counter()
     centre = np.concatenate([r.omega, r.velocity])
-    prior, truth = _marks(shown, r, wish.objective)
+    if not np.isfinite(centre).all() or not np.isfinite(r.T_world_camera).all():
+        raise DvsvizError("this window has no estimate to look around from")
+    prior, truth = (
+        mark if mark is not None and np.isfinite(mark).all() else None for mark in _marks(shown, r, wish.objective)
+    )
     plane = Plane(normal=r.normal_world).seen_from(r.T_world_camera)
     if not plane.distance > 1e-3:
         raise DvsvizError("the pose lies behind the plane: there is nothing to turn it about")
@@ -136,7 +140,7 @@ def landscape(
         "objective": str(wish.objective),
         "axes": [_axis(k, wish.objective, base, unit, span[i]) for i, k in enumerate((a, b))],
         "cells": cells,
-        "values": [[round(float(v), 7) if np.isfinite(v) else None for v in row] for row in values],
+        "values": [[float(f"{v:.6g}") if np.isfinite(v) else None for v in row] for row in values],
         "estimate": place(np.zeros(6)),
         "prior": place(prior),
         "truth": place(truth),
