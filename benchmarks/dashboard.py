@@ -1,10 +1,11 @@
 """What a dashboard with clients costs: the tracker's time, the right frame in ten tabs, memory over many seeks.
 
-    python benchmarks/dashboard.py [--seconds 8] [--seeks 5000] [--repeats 3] [--json]
+    python benchmarks/dashboard.py [--seconds 8] [--tab-seeks 60] [--seeks 5000] [--repeats 3] [--json]
 
 * **slowed**: a recording is tracked by a real server, alone and with a client attached that follows the run, takes the
-  images of every window it hears of and renders nothing; by turns, so that a busy machine is busy for both. Reported is
-  the ratio of the medians of the tracker's own time (the sum of the windows' `time_spent_s`) and of the wall time.
+  images of every window it hears of and renders nothing; by turns, so that a busy machine is busy for both. Reported are
+  the ratios of the medians of the tracker's own time (the sum of the windows' `time_spent_s`), of its process's time on
+  the processor (which other programs of a busy machine change less) and of the wall time.
 * **ten tabs**: ten connections with playheads of their own seek at once; every picture is decoded and compared with the
   window it was asked for.
 * **memory**: one connection seeks many times to random windows of a session of 5,000; the server's resident memory is
@@ -21,6 +22,7 @@ import json
 import os
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -44,7 +46,6 @@ from dvsviz.simulate.simulate import simulate
 
 _KINDS = ["raw", "warped", "map", "texture"]
 _TABS = 10
-_TAB_SEEKS = 60
 _BIG = 5000
 
 
@@ -111,17 +112,50 @@ async def follow(client: Client, name: str) -> int:
     return came
 
 
-def track(client: Client, number: str, name: str, *, attached: bool) -> tuple[float, int]:
-    """Start a run as the page does and return its wall seconds and the images that a client took."""
+class CpuClock(threading.Thread):
+    """Reads the processor time of a server's tracking process until it is stopped."""
+
+    def __init__(self, server: int) -> None:
+        super().__init__(daemon=True)
+        self._server, self._ended = server, threading.Event()
+        self.seconds = 0.0
+
+    def run(self) -> None:
+        while not self._ended.wait(0.05):
+            tasks = Path(f"/proc/{self._server}/task").glob("*/children")
+            children = [int(pid) for task in tasks for pid in _text(task).split()]
+            found = [_text(Path(f"/proc/{pid}/stat")).rpartition(")")[2].split() for pid in children]
+            ticks = [int(stat[11]) + int(stat[12]) for stat in found if len(stat) > 12]
+            self.seconds = max([self.seconds, *(count / os.sysconf("SC_CLK_TCK") for count in ticks)])
+
+    def stop(self) -> None:
+        self._ended.set()
+        self.join()
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text()
+    except OSError:
+        return ""  # the process has ended
+
+
+def track(client: Client, pid: int, number: str, name: str, *, attached: bool) -> tuple[float, float, int]:
+    """Start a run as the page does; return its wall and processor seconds and the images that a client took."""
+    clock = CpuClock(pid)
+    clock.start()
     client.http.post("/api/runs", json={"recording": number, "name": name}).raise_for_status()
     came = 0
     while (entry := client.entry(name)) is None or not entry["windows"]:
         time.sleep(0.05)
+    before_s = clock.seconds
     if attached:
         came = asyncio.run(follow(client, name))
     while (entry := client.entry(name)) is None or entry["state"] != "complete" or entry["run"]:
         time.sleep(0.2)
-    return float(client.http.get(f"/api/sessions/{name}").json()["summary"]["wall_s"]), came
+    clock.stop()
+    wall_s = float(client.http.get(f"/api/sessions/{name}").json()["summary"]["wall_s"])
+    return wall_s, clock.seconds - before_s, came
 
 
 def slowed(folder: Path, seconds: float, repeats: int) -> dict[str, Any]:
@@ -132,38 +166,42 @@ def slowed(folder: Path, seconds: float, repeats: int) -> dict[str, Any]:
     own: dict[bool, list[float]] = {False: [], True: []}
     wall: dict[bool, list[float]] = {False: [], True: []}
     taken = []
-    with served(sessions, folder / "cache", "--recordings", str(recordings)) as address:
-        client = Client(address)
+    cpu: dict[bool, list[float]] = {False: [], True: []}
+    running = served(sessions, folder / "cache", "--recordings", str(recordings))
+    with running as address:
+        client, pid = Client(address), running.process.pid
         (number,) = (r["id"] for r in client.http.get("/api/recordings").json()["recordings"])
         while client.http.get(f"/api/recordings/{number}").json()["state"] != "ready":
             time.sleep(0.1)
-        track(client, number, "warm", attached=True)
+        track(client, pid, number, "warm", attached=True)
         for repeat in range(repeats):
             for attached in (repeat % 2 == 0, repeat % 2 == 1):
                 name = f"r{repeat}{'with' if attached else 'alone'}"
-                took, came = track(client, number, name, attached=attached)
+                took, worked, came = track(client, pid, number, name, attached=attached)
                 with open_session(sessions / f"{name}.h5") as session:
                     own[attached].append(float(session.column("time_spent_s").sum()))
                     wall[attached].append(took)
+                    cpu[attached].append(worked)
                     if attached:
                         taken.append(came / session.window_count)
     return {
         "tracker_alone_s": round(median(own[False]), 2),
         "tracker_with_client_s": round(median(own[True]), 2),
         "tracker_slowed_percent": round(100 * (median(own[True]) / median(own[False]) - 1), 1),
+        "tracker_cpu_slowed_percent": round(100 * (median(cpu[True]) / median(cpu[False]) - 1), 1),
         "run_slowed_percent": round(100 * (median(wall[True]) / median(wall[False]) - 1), 1),
         "windows_taken_share": round(median(taken), 2),
     }
 
 
-async def ten_tabs(client: Client, session: str, windows: int, seed: int) -> dict[str, Any]:
+async def ten_tabs(client: Client, session: str, windows: int, seeks: int, seed: int) -> dict[str, Any]:
     """Seek in ten tabs at once; every answer must show its own window."""
 
     async def one(tab: int) -> tuple[int, int, list[float]]:
         rng, right, wrong, took = np.random.default_rng(seed + tab), 0, 0, []
         async with client.connect(100 + tab) as socket:
             await socket.send(json.dumps({"type": "open", "session": session}))
-            for request in range(1, _TAB_SEEKS + 1):
+            for request in range(1, seeks + 1):
                 window = int(rng.integers(windows))
                 from_s = time.perf_counter()
                 await socket.send(seek(session, window, request, ["raw"]))
@@ -232,6 +270,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=8.0, help="length of the recording that is tracked")
     parser.add_argument("--seeks", type=int, default=5000)
+    parser.add_argument("--tab-seeks", type=int, default=60, help="of each of the ten tabs")
     parser.add_argument("--repeats", type=int, default=3, help="runs with a client, and as many without")
     parser.add_argument("--windows", type=int, default=_BIG, help="windows of the session that is sought in")
     parser.add_argument("--json", action="store_true")
@@ -247,7 +286,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         with barcode_server(folder, asked.windows) as (client, pid):
-            tell(asyncio.run(ten_tabs(client, "barcode", asked.windows, seed=1)))
+            if asked.tab_seeks:
+                tell(asyncio.run(ten_tabs(client, "barcode", asked.windows, asked.tab_seeks, seed=1)))
             if asked.seeks:
                 tell(asyncio.run(memory(client, "barcode", asked.windows, asked.seeks, pid)))
         if asked.repeats:
