@@ -3,7 +3,7 @@
     python benchmarks/dashboard.py [--seconds 8] [--tab-seeks 60] [--seeks 5000] [--repeats 3] [--json]
 
 * **slowed**: a recording is tracked by a real server, alone and with a client attached that follows the run, takes the
-  images of every window it hears of and renders nothing; by turns, so that a busy machine is busy for both. Reported are
+  images of every window it hears of and renders nothing; by turns, so that a busy machine is busy for both. Told are
   the ratios of the medians of the tracker's own time (the sum of the windows' `time_spent_s`), of its process's time on
   the processor (which other programs of a busy machine change less) and of the wall time.
 * **ten tabs**: ten connections with playheads of their own seek at once; every picture is decoded and compared with the

@@ -8,8 +8,10 @@ from test_session_store import check, write
 from dvsviz.errors import SessionError
 from dvsviz.session.packing import decode_png, encode_png, pack_state, unpack_state
 from dvsviz.session.store import (
+    Origin,
     SessionWriter,
     add_bookmark,
+    delete,
     delete_bookmark,
     open_session,
     rename,
@@ -107,3 +109,44 @@ def test_images_come_back_and_a_bomb_is_refused() -> None:
     bomb[16:24] = b"\x7f\xff\xff\xff\x7f\xff\xff\xff"
     with pytest.raises(ValueError, match="too large"):
         decode_png(bytes(bomb), place="here")
+
+
+def test_only_a_session_at_rest_is_deleted(tmp_path: Path) -> None:
+    writer = write(tmp_path / "busy.h5", 5, close=False)
+    with pytest.raises(SessionError, match="is being written"):
+        delete(tmp_path / "busy.h5")
+    writer.abandon()
+    delete(tmp_path / "busy.h5")
+    assert not (tmp_path / "busy.h5").exists()
+    for name, data in {"notes.txt": b"mine", "recording.h5": b"\x89HDF\r\n\x1a\n and more"}.items():
+        (tmp_path / name).write_bytes(data)
+        with pytest.raises(SessionError):
+            delete(tmp_path / name)
+        assert (tmp_path / name).read_bytes() == data
+    with pytest.raises(SessionError):
+        delete(tmp_path / "none.h5")
+
+
+def test_a_branch_begins_with_the_windows_of_its_origin(tmp_path: Path) -> None:
+    write(tmp_path / "s.h5", 60)
+    add_bookmark(tmp_path / "s.h5", 3, "mine")
+    T = samples.pose(25)
+    origin = Origin(
+        session="s", created="c", window=25, config_json="{}", changes={"window": (None, 5)}, T_world_camera=T
+    )
+    header = samples.header(origin=origin, start_us=samples.FIRST_US, end_us=samples.FIRST_US + 1_000_000)
+    with SessionWriter.branch(tmp_path / "s.h5", tmp_path / "b.h5", header, windows=25) as writer:
+        assert writer.window_count == 25
+        for k in range(25, 31):
+            writer.append(samples.result(k), samples.updates(k))
+    branch = open_session(tmp_path / "b.h5")
+    check(branch, 31)
+    assert branch.bookmarks == () and branch.tags == () and branch.summary is None
+    found = branch.header.origin
+    assert found is not None and found.T_world_camera is not None
+    assert (found.session, found.window, found.changes) == ("s", 25, {"window": (None, 5)})
+    assert np.array_equal(found.T_world_camera, T)
+    assert branch.header.part_s == (0.0, 1.0)
+    assert open_session(tmp_path / "s.h5").header.origin is None
+    with pytest.raises(SessionError, match="already exists"):
+        SessionWriter.branch(tmp_path / "s.h5", tmp_path / "b.h5", header, windows=3)
