@@ -84,7 +84,7 @@ def test_repair_counts(tmp_path: Path) -> None:
     recording = open_recording(tmp_path / "e.npz", size=(240, 180), repair=True)
     np.testing.assert_array_equal(recording.events.read(0, 9).t_us, [10, 35, 35])
     assert "2 events whose time ran backwards" in " ".join(recording.warnings)
-    assert "1 events outside the sensor" in " ".join(recording.warnings)
+    assert "1 event outside the sensor" in " ".join(recording.warnings)
 
 
 def test_cut_short(tmp_path: Path) -> None:
@@ -105,3 +105,15 @@ def test_cut_short(tmp_path: Path) -> None:
 def test_rotdisk(data_dir: Path) -> None:
     recording = open_recording(data_dir / "gyro/rotdisk_events.npz", size=(240, 180))
     assert recording.events.count == 374_296 and round(recording.duration_s, 3) == 3.167
+
+
+@pytest.mark.parametrize("bits", [31, 32])
+def test_repair_carries_on_a_clock_that_wraps(tmp_path: Path, bits: int) -> None:
+    t = np.arange(2000) * 1000 + (1 << bits) - 1_000_000
+    x, p = np.arange(2000) % 240, np.arange(2000) % 2
+    np.savez(tmp_path / "e.npz", t=t % (1 << bits), x=x, y=x % 180, p=p)
+    with pytest.raises(FormatError, match="event 1000: time runs backwards"):
+        open_recording(tmp_path / "e.npz", size=(240, 180))
+    recording = open_recording(tmp_path / "e.npz", size=(240, 180), repair=True)
+    np.testing.assert_array_equal(recording.events.read(0, 2000).t_us, t)
+    assert "a clock that began anew at its largest number once was carried on" in recording.warnings[0]

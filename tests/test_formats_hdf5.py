@@ -10,6 +10,7 @@ from dvsviz.errors import FormatError
 from dvsviz.events.events import Events
 from dvsviz.events.recording import Imu
 from dvsviz.formats.hdf5 import RecordingWriter, read_recording
+from dvsviz.formats.open import open_recording
 from dvsviz.geometry import se3
 from dvsviz.geometry.camera import Camera
 from dvsviz.geometry.trajectory import Trajectory
@@ -145,7 +146,7 @@ def _set(file: h5py.File, name: str, values: object) -> None:
             lambda f: f.attrs.update(version=2),
             "attribute version: version 2 is not known, expected 1; update dvsviz",
         ),
-        (lambda f: f.attrs.update(width=10**9), "width, height: expected 1 to 65536"),
+        (lambda f: f.attrs.update(width=10**9), r"a sensor of 1000000000x\d+; expected 1 to 4096"),
         (lambda f: f.attrs.update(width="wide"), "attribute width: expected a number"),
         (lambda f: f["camera"].attrs.update(fx=np.nan), "camera: camera: expected finite"),
         (lambda f: f["camera"].attrs.update(distortion=[1.0, 2.0]), "five distortion values"),
@@ -199,3 +200,14 @@ def test_the_example_of_the_document_is_a_recording(tmp_path: Path, monkeypatch:
     recording = read_recording(tmp_path / "recording.h5")
     np.testing.assert_array_equal(recording.events.read(0, 9).x_px, [5, 6, 7])
     assert recording.events.index_at(12) == 1
+
+
+@pytest.mark.parametrize("attributes", [{}, {"format": "dvsviz-recording", "version": 1, "width": 9, "height": 9}])
+def test_a_header_that_claims_what_no_file_holds(tmp_path: Path, attributes: dict) -> None:
+    with h5py.File(tmp_path / "r.h5", "w") as file:
+        file.attrs.update(attributes)
+        for name in "txyp":
+            file.create_dataset(f"events/{name}", (10**13,), np.uint16, chunks=(1000,))
+    for repair in (False, True):
+        with pytest.raises(FormatError, match="events/t: claims 20,000,000,000,000 bytes"):
+            open_recording(tmp_path / "r.h5", repair=repair)

@@ -27,7 +27,7 @@ def test_known_answers(tmp_path: Path) -> None:
     assert (found["events"], found["width"], found["height"]) == (150, 31, 17)
     assert (found["first_us"], found["last_us"], found["duration_s"]) == (0, 449_000, pytest.approx(0.449))
     assert found["rate_hz"] == pytest.approx(150 / 0.449)
-    assert found["streams"] == {"events": 150, "ground_truth": 0, "imu": 0, "frames": 1}
+    assert found["streams"] == {"events": 150, "ground_truth": 0, "imu": 0, "frames": 1, "triggers": 0}
     assert found["calibrated"] is True and found["camera"]["fx"] == 30 and found["warnings"] == []
     assert (found["duplicates"], found["gaps"]) == (1, 1) and found["longest_gap_s"] == pytest.approx(0.301)
     assert found["positive_share"] == pytest.approx(p.sum() / 150)

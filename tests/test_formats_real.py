@@ -1,5 +1,6 @@
 """Every real recording beside the checkout: counts of its README, and checks by independent files and libraries."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -69,6 +70,11 @@ def test_raw_against_evlib(data_dir: Path, name: str) -> None:
     np.testing.assert_array_equal(np.diff(ours.t_us), np.diff(t))
 
 
+def test_a_bag_by_another_name(data_dir: Path, tmp_path: Path) -> None:
+    shutil.copy(data_dir / "formats/test_events_1/test_events_1.db3", tmp_path / "bag.bin")
+    assert open_recording(tmp_path / "bag.bin").events.count == 343_474
+
+
 def test_bags_of_both_versions_are_the_same_events(data_dir: Path) -> None:
     one, two = (open_recording(data_dir / "formats" / name) for name in ("test_events_1.bag", "test_events_1"))
     assert_same(whole(one), whole(two))
@@ -97,5 +103,7 @@ def test_davis346_streams(data_dir: Path) -> None:
     recording = open_recording(data_dir / "formats/davis346.aedat4")
     assert recording.frames is not None and recording.imu is not None
     assert recording.frames.read(0).shape == (260, 346) and len(recording.frames.t_us) == 59
+    kinds = ("exposure end", "exposure start", "frame end", "frame start")
+    assert recording.triggers == {f"aps {kind}": 59 for kind in kinds}
     # At rest the length of the specific force is that of gravity.
     assert np.median(np.linalg.norm(recording.imu.accel, axis=1)) == pytest.approx(9.81, abs=0.5)

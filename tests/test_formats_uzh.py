@@ -165,16 +165,16 @@ def test_bad_input_is_one_clear_line(tmp_path: Path, what: str, packed: bool) ->
 
 
 REPAIRABLE = {
-    "letters in a number": "1 lines that are not an event dropped",
-    "half a pixel": "1 lines that are not an event",
-    "unsorted": "1 events whose time ran backwards",
-    "outside": "1 events outside the sensor",
-    "negative": "1 events outside the sensor",
-    "huge": "1 lines that are not an event",
-    "pose NaN": "1 poses of groundtruth.txt",
-    "pose quaternion": "1 poses of groundtruth.txt",
-    "imu": "1 lines of imu.txt",
-    "frame": "1 frames dropped",
+    "letters in a number": "1 line that is not an event dropped",
+    "half a pixel": "1 line that is not an event",
+    "unsorted": "1 event whose time ran backwards",
+    "outside": "1 event outside the sensor",
+    "negative": "1 event outside the sensor",
+    "huge": "1 line that is not an event",
+    "pose NaN": "1 pose of groundtruth.txt",
+    "pose quaternion": "1 pose of groundtruth.txt",
+    "imu": "1 line of imu.txt",
+    "frame": "1 frame dropped",
 }
 
 
@@ -185,6 +185,15 @@ def test_repair_drops_and_counts(tmp_path: Path, what: str) -> None:
     assert REPAIRABLE[what] in " ".join(recording.warnings)
     if "pose" in what:
         assert recording.ground_truth is not None and len(recording.ground_truth) == 2
+
+
+def test_polarity_in_words(tmp_path: Path) -> None:
+    lines = "0.1 5 6 True\n0.2 5 6 False\n0.3 5 6 true\n"
+    recording = open_recording(folder(tmp_path, events=lines))
+    np.testing.assert_array_equal(recording.events.read(0, 9).is_positive, [True, False, True])
+    (tmp_path / "other.txt").write_text(lines + "0.4 5 6 Tree\n")
+    with pytest.raises(FormatError, match=r"line 4: not a number in `0\.4 5 6 Tree`"):
+        open_recording(tmp_path / "other.txt", size=(240, 180))
 
 
 def test_repair_survives_a_time_far_ahead(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ def fields(found: dict[str, Any]) -> dict[str, str]:
         "events": f"{found['events']:,d}, {found['positive_share']:.1%} positive",
         "rate": f"{_rate(found['rate_hz'])} on average, {_rate(found['peak_rate_hz'])} at most",
         "": found["sparkline"],
-        "streams": _streams(found["streams"]),
+        "streams": _streams(found["streams"], found["triggers"]),
         "gaps": f"{found['gaps']} of 100 ms or more; the longest pause is {found['longest_gap_s'] * 1e3:.1f} ms",
         "order": _order(found),
         "hot pixels": _hot(found),
@@ -44,9 +44,12 @@ def _rate(hz: float) -> str:
     return f"{hz / 1e3:.1f} thousand/s" if hz >= 1e3 else f"{hz:.0f}/s"
 
 
-def _streams(streams: dict[str, int]) -> str:
+def _streams(streams: dict[str, int], triggers: dict[str, int]) -> str:
     names = {"ground_truth": "true poses", "imu": "inertial measurements", "frames": "frames"}
     there = [f"{streams[key]:,d} {name}" for key, name in names.items() if streams[key]]
+    if triggers:
+        kinds = ", ".join(f"{count:,d} {kind}" for kind, count in triggers.items())
+        there.append(f"{streams['triggers']:,d} triggers ({kinds})")
     return ", ".join(["events", *there])
 
 

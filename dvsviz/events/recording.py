@@ -101,6 +101,7 @@ class Recording:
         plane_distance_world: its distance from that world's origin, m, or None.
         filters: what the events were filtered by on opening, or None.
         events_before_filters: how many there were before, or None.
+        triggers: how many triggers of each kind the file holds, as `info` lists them; their times are not kept.
         warnings: sentences about what was assumed or repaired on opening.
     """
 
@@ -117,6 +118,7 @@ class Recording:
     plane_distance_world: float | None = None
     filters: FilterConfig | None = None
     events_before_filters: int | None = None
+    triggers: dict[str, int] = field(default_factory=dict)
     warnings: tuple[str, ...] = field(default=())
 
     @property

@@ -1,7 +1,10 @@
-"""AEDAT4 (iniVation DV): events, frames and inertial measurements, read with dv-processing."""
+"""AEDAT4 (iniVation DV): events, frames, inertial measurements and triggers, read with dv-processing."""
 
 from __future__ import annotations
 
+import tempfile
+from collections import Counter
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +12,7 @@ import numpy as np
 
 from dvsviz.errors import FormatError
 from dvsviz.events.recording import Imu
-from dvsviz.formats.aedat4_packets import check_packets
+from dvsviz.formats.aedat4_packets import check_packets, copy_whole_packets
 from dvsviz.formats.sink import RecordingSink
 from dvsviz.geometry.camera import Camera
 
@@ -29,15 +32,23 @@ def convert_aedat4(path: Path, sink: RecordingSink) -> None:
     except ImportError as error:
         hint = "pip install dv-processing (Linux on x86_64), or convert the file elsewhere"
         raise FormatError("dv-processing is not installed", path=path, hint=hint) from error
-    check_packets(path)
-    try:
-        reader = dv.io.MonoCameraRecording(str(path))
-        if not reader.isEventStreamAvailable():
-            raise FormatError("there is no event stream", path=path, hint="record or copy it again")
-        _read(reader, path, sink)
-    except (RuntimeError, ValueError, IndexError, MemoryError, OverflowError) as error:
-        reason = " ".join(str(error).split())[:120]
-        raise FormatError(f"damaged or cut short ({reason})", path=path, hint="copy it again") from error
+    with ExitStack() as stack:
+        whole = path
+        if not sink.options.repair:
+            check_packets(path)
+        else:
+            whole = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "whole.aedat4"
+            dropped, rest = copy_whole_packets(path, whole)
+            sink.dropped(dropped, "packets that are damaged")
+            sink.dropped(rest, "bytes of a last packet that was cut short")
+        try:
+            reader = dv.io.MonoCameraRecording(str(whole))
+            if not reader.isEventStreamAvailable():
+                raise FormatError("there is no event stream", path=path, hint="record or copy it again")
+            _read(reader, path, sink)
+        except (RuntimeError, ValueError, IndexError, MemoryError, OverflowError) as error:
+            reason = " ".join(str(error).split())[:120]
+            raise FormatError(f"damaged or cut short ({reason})", path=path, hint="copy it again") from error
 
 
 def _read(reader: Any, path: Path, sink: RecordingSink) -> None:
@@ -61,6 +72,16 @@ def _read(reader: Any, path: Path, sink: RecordingSink) -> None:
         _read_frames(reader, sink)
     if reader.isImuStreamAvailable():
         _read_imu(reader, sink)
+    if reader.isTriggerStreamAvailable():
+        _count_triggers(reader, sink)
+
+
+def _count_triggers(reader: Any, sink: RecordingSink) -> None:
+    """Count the triggers by their kind: `info` lists them, and nothing here uses their times."""
+    counts: Counter[str] = Counter()
+    while (batch := reader.getNextTriggerBatch()) is not None:
+        counts.update(str(trigger.type.name).lower().replace("_", " ") for trigger in batch)
+    sink.set_triggers(dict(sorted(counts.items())))
 
 
 def _read_frames(reader: Any, sink: RecordingSink) -> None:

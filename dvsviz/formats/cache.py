@@ -19,10 +19,10 @@ from dvsviz.errors import FormatError
 from dvsviz.events.recording import Recording
 from dvsviz.formats.hdf5 import GUESS_WARNING, read_recording
 from dvsviz.formats.options import OpenOptions
-from dvsviz.formats.sink import FORMAT_NOTE, WARNINGS_NOTE
+from dvsviz.formats.sink import FORMAT_NOTE, TRIGGERS_NOTE, WARNINGS_NOTE
 
 # Raise it when a reader changes what it makes of the same file.
-_CONVERSION = 2
+_CONVERSION = 3
 
 
 def cache_folder() -> Path:
@@ -77,6 +77,7 @@ def _opened(target: Path, source: Path) -> Recording:
     recording = read_recording(target)
     with h5py.File(target, "r") as file:
         name, warnings = file.attrs.get(FORMAT_NOTE), file.attrs.get(WARNINGS_NOTE)
+        triggers = file.attrs.get(TRIGGERS_NOTE)
     if not isinstance(name, str) or not isinstance(warnings, str):
         raise FormatError("not a converted recording", path=target)
     return replace(
@@ -84,6 +85,7 @@ def _opened(target: Path, source: Path) -> Recording:
         path=source,
         name=source.stem if source.is_file() else source.name,
         format=name,
+        triggers=json.loads(triggers) if isinstance(triggers, str) else {},
         warnings=(*json.loads(warnings), *recording.warnings),
     )
 

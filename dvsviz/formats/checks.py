@@ -5,11 +5,40 @@ from __future__ import annotations
 from pathlib import Path
 from typing import NoReturn
 
+import h5py
 import numpy as np
 
 from dvsviz.errors import FormatError
 from dvsviz.events.events import Events
 from dvsviz.geometry.camera import Camera
+
+# The largest event sensors have 1280 columns. Images of 4096x4096 pixels still fit into the memory that is promised.
+MAX_SIDE = 4096
+# Deflate makes zeros a thousand times smaller, never more.
+_MOST_PACKED = 1100
+
+
+def check_sensor(width: int, height: int, path: Path) -> None:
+    """Refuse a sensor that no camera has: a damaged header must not ask for gigabytes of memory.
+
+    Raises:
+        FormatError: a side is not 1 to 4096 pixels.
+    """
+    if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
+        hint = f"expected 1 to {MAX_SIDE} pixels a side: the header may be damaged, --size gives the right size"
+        raise FormatError(f"a sensor of {width}x{height}", path=path, hint=hint)
+
+
+def check_stored(dataset: h5py.Dataset, path: Path) -> None:
+    """Refuse a dataset that claims more than its file can hold.
+
+    Raises:
+        FormatError: it has more bytes than the file unpacks to.
+    """
+    if dataset.nbytes > _MOST_PACKED * path.stat().st_size:
+        place = str(dataset.name).strip("/")
+        message = f"claims {dataset.nbytes:,d} bytes, more than the file can hold"
+        raise FormatError(message, path=path, place=place, hint="copy or write it again")
 
 
 def check_events(events: Events, camera: Camera, *, path: Path, first: int = 0, last_us: int | None = None) -> None:

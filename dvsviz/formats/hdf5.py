@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from dvsviz.errors import FormatError
 from dvsviz.events.events import Events
 from dvsviz.events.recording import Imu, Recording
-from dvsviz.formats.checks import check_events
+from dvsviz.formats.checks import check_events, check_sensor, check_stored
 from dvsviz.formats.hdf5_writer import FORMAT, VERSION, RecordingWriter
 from dvsviz.geometry.camera import Camera
 from dvsviz.geometry.trajectory import Trajectory
@@ -204,8 +204,7 @@ def _read(file: h5py.File, path: Path) -> Recording:
 
 def _camera(file: h5py.File, path: Path) -> tuple[Camera, tuple[str, ...]]:
     width, height = int(_number(file, "width", path)), int(_number(file, "height", path))
-    if not (1 <= width <= _MAX_SIDE and 1 <= height <= _MAX_SIDE):
-        _refuse(path, "attributes width, height", f"expected 1 to {_MAX_SIDE}, got {width}x{height}")
+    check_sensor(width, height, path)
     if "camera" not in file:
         return Camera.guess(width, height), (GUESS_WARNING.format(width=width, focal=0.8 * width),)
     group = file["camera"]
@@ -264,6 +263,7 @@ def _dataset(file: h5py.File, name: str, path: Path) -> h5py.Dataset:
     found = file.get(name)
     if not isinstance(found, h5py.Dataset):
         _refuse(path, name, "this dataset is missing", "docs/recording-format.md lists what a recording holds")
+    check_stored(found, path)
     return found
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvsviz.errors import FormatError
+from dvsviz.formats.checks import check_stored
 from dvsviz.formats.columns import Columns, find_names, tell_order
 from dvsviz.formats.sink import RecordingSink
 from dvsviz.formats.sizes import KNOWN_SIZES, assumption, require_size
@@ -72,6 +73,8 @@ def _convert(file: h5py.File, path: Path, sink: RecordingSink) -> None:
         if found is None:
             _refuse("no events of a known layout", path)
         datasets, size = found, (_DSEC_SIZE if kind == "DSEC HDF5" else _size(file))
+    for dataset in datasets:
+        check_stored(dataset, path)
     shapes = [dataset.shape for dataset in datasets]
     if len(datasets) == 4 and (len(set(shapes)) != 1 or len(shapes[0]) != 1):
         _refuse(f"t, x, y, p differ in size: {', '.join(map(str, shapes))}", path)

@@ -27,9 +27,9 @@ def describe(path: Path, **options: Any) -> dict[str, Any]:
     """Return what the recording at a path holds, as plain numbers, texts and lists.
 
     Keys: `format, name, path, events, duration_s, width, height, rate_hz, peak_rate_hz, first_us, last_us,
-    positive_share, streams, calibrated, camera, rate_over_time_hz` (60 equal parts of the duration), `sparkline,
-    gaps, longest_gap_s` (pauses of at least 100 ms), `duplicates` (events that repeat time, pixel and polarity of
-    the one before them on that pixel), `hot_pixels, hot_share, hot_pixels_at` (x, y, events of the loudest eight),
+    positive_share, streams, triggers` (how many of each kind), `calibrated, camera, rate_over_time_hz` (60 equal
+    parts of the duration), `sparkline, gaps, longest_gap_s` (pauses of at least 100 ms), `duplicates`
+    (events that repeat time, pixel and polarity of the one before them on that pixel), `hot_pixels, hot_share, hot_pixels_at` (x, y, events of the loudest eight),
     `out_of_order` (events that `repair` dropped for it; without repair such a file is refused), `filters,
     events_before_filters, warnings`.
 
@@ -92,7 +92,9 @@ def describe_recording(recording: Recording) -> dict[str, Any]:
             "ground_truth": 0 if truth is None else len(truth),
             "imu": 0 if imu is None else len(imu.t_us),
             "frames": 0 if frames is None else len(frames.t_us),
+            "triggers": sum(recording.triggers.values()),
         },
+        "triggers": recording.triggers,
         "calibrated": not camera.is_guess,
         "camera": {
             "fx": camera.fx,
@@ -119,7 +121,7 @@ def describe_recording(recording: Recording) -> dict[str, Any]:
 def _out_of_order(warnings: tuple[str, ...]) -> int:
     """Return how many events were dropped on reading for a time that ran backwards."""
     for warning in warnings:
-        if found := re.search(rf"(\d+) {OUT_OF_ORDER}", warning):
+        if found := re.search(rf"(\d+) events?{OUT_OF_ORDER.removeprefix('events')}", warning):
             return int(found[1])
     return 0
 

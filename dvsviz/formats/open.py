@@ -16,6 +16,7 @@ from dvsviz.formats import aedat2, aedat3, aedat4, event_stream, hdf5_foreign, m
 from dvsviz.formats.arrays import convert_npy, convert_npz
 from dvsviz.formats.cache import cached
 from dvsviz.formats.calibration import read_calibration
+from dvsviz.formats.checks import MAX_SIDE
 from dvsviz.formats.container import Folder, Zip
 from dvsviz.formats.filtered import filtered
 from dvsviz.formats.ground_truth import read_ground_truth
@@ -64,8 +65,9 @@ def open_recording(
             file, the place and what to do.
     """
     path = Path(path)
-    if size is not None and not all(1 <= side <= 65_535 for side in size):
-        raise FormatError(f"a sensor of {size[0]}x{size[1]}", place="--size", hint="expected 1 to 65535 pixels")
+    if size is not None and not all(1 <= side <= MAX_SIDE for side in size):
+        hint = f"expected 1 to {MAX_SIDE} pixels"
+        raise FormatError(f"a sensor of {size[0]}x{size[1]}", place="--size", hint=hint)
     truth_topic = None
     if ground_truth is not None and str(ground_truth).startswith("/") and not Path(ground_truth).exists():
         truth_topic = str(ground_truth)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sqlite3
 import struct
 import tempfile
@@ -63,7 +64,9 @@ def convert_ros(path: Path, sink: RecordingSink) -> None:
         with ExitStack() as stack:
             _read(_Bag(stack, path), path, sink)
     except (*damage, KeyError, IndexError, ValueError, AssertionError, EOFError, MemoryError) as error:
-        reason = " ".join(str(error).split())[:160] or type(error).__name__
+        # Where the library was given a link, the name of the link says nothing.
+        reason = re.sub(r"\S+/(bag|metadata)\.\w+", path.name, " ".join(str(error).split()))[:160]
+        reason = reason or type(error).__name__
         raise FormatError(
             f"damaged, or not a bag that can be read ({reason})", path=path, hint="copy it again"
         ) from error
@@ -112,7 +115,12 @@ class _Bag:
 def _repaired(path: Path, scratch: Path) -> Path:
     """Return the bag, or a folder of links to it whose metadata names the storage that its files have."""
     if path.is_file() and path.suffix.lower() not in _STORAGES:
-        return path
+        # The library goes by the file's ending.
+        with path.open("rb") as file:
+            is_mcap = file.read(len(MCAP_MAGIC)) == MCAP_MAGIC
+        link = scratch / ("bag.mcap" if is_mcap else "bag.db3")
+        link.symlink_to(path.resolve())
+        return link
     files = [path] if path.is_file() else sorted(file for file in path.iterdir() if file.suffix in _STORAGES)
     metadata = path / "metadata.yaml"
     if not files:

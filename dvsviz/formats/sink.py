@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from dvsviz.errors import FormatError
 from dvsviz.events.events import Events
 from dvsviz.events.recording import Imu
+from dvsviz.formats.checks import check_sensor
 from dvsviz.formats.hdf5 import RecordingWriter
 from dvsviz.formats.options import OpenOptions
 from dvsviz.formats.repair import EventRepair
 from dvsviz.geometry.camera import Camera
 from dvsviz.geometry.trajectory import Trajectory
 
-FORMAT_NOTE, WARNINGS_NOTE = "source_format", "source_warnings"
+FORMAT_NOTE, WARNINGS_NOTE, TRIGGERS_NOTE = "source_format", "source_warnings", "source_triggers"
 OUT_OF_ORDER = "events whose time ran backwards"
 
 
@@ -55,8 +56,13 @@ class RecordingSink:
         return self._count
 
     def start(self, camera: Camera) -> None:
-        """Fix the sensor's size and calibration; the user's size is obeyed where one was given."""
+        """Fix the sensor's size and calibration; the user's size is obeyed where one was given.
+
+        Raises:
+            FormatError: the sensor is larger than any camera's.
+        """
         self._camera = resize(camera, self.options.size)
+        check_sensor(self.camera.width, self.camera.height, self.source)
         self._repair = EventRepair(self.camera.width, self.camera.height) if self.options.repair else None
         self._writer = RecordingWriter(self._target, camera=self.camera)
 
@@ -97,6 +103,10 @@ class RecordingSink:
         """Add an intensity frame (height, width)."""
         self._started().append_frame(t_us, image)
 
+    def set_triggers(self, counts: dict[str, int]) -> None:
+        """Tell how many triggers of each kind there are; `info` lists them, their times are not kept."""
+        self._started().set_note(TRIGGERS_NOTE, json.dumps(counts))
+
     def warn(self, text: str) -> None:
         """Say something about what was assumed or dropped."""
         self._warnings.append(text)
@@ -104,7 +114,7 @@ class RecordingSink:
     def dropped(self, count: int, what: str) -> None:
         """Say that something was dropped, where anything was."""
         if count:
-            self.warn(f"repaired: {count} {what} dropped")
+            self.warn(f"repaired: {count} {what if count > 1 else _one(what)} dropped")
 
     def close(self) -> None:
         """Finish the recording.
@@ -114,6 +124,9 @@ class RecordingSink:
         """
         writer = self._started()
         if self._repair is not None:
+            if self._repair.wraps:
+                times = "once" if self._repair.wraps == 1 else f"{self._repair.wraps} times"
+                self.warn(f"repaired: a clock that began anew at its largest number {times} was carried on")
             self.dropped(self._repair.backwards, OUT_OF_ORDER)
             self.dropped(self._repair.outside, "events outside the sensor")
         if self._count == 0:
@@ -138,6 +151,12 @@ class RecordingSink:
             # After a close that went well there is nothing left to remove.
             if self._writer is not None:
                 self._writer.discard()
+
+
+def _one(what: str) -> str:
+    """Return the words for one of several: `lines that are …` as `line that is …`."""
+    noun, _, rest = what.partition(" ")
+    return f"{noun.removesuffix('s')} {rest.replace('that are ', 'that is ')}".rstrip()
 
 
 def resize(camera: Camera, size: tuple[int, int] | None) -> Camera:

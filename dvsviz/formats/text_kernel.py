@@ -24,6 +24,7 @@ MESSAGES = {
 
 _MAX_DIGITS = 18
 _NEWLINE, _RETURN, _TAB, _SPACE, _COMMA, _HASH = 10, 13, 9, 32, 44, 35
+_LOWER, _TRUE, _FALSE = 32, np.frombuffer(b"true", np.uint8), np.frombuffer(b"false", np.uint8)
 _PLUS, _MINUS, _POINT, _ZERO, _NINE, _E, _e = 43, 45, 46, 48, 57, 69, 101
 
 
@@ -95,6 +96,18 @@ def _number(buffer, i, scale):
 
 
 @numba.njit(cache=True, nogil=True)
+def _truth(buffer, i):
+    """Return (1 or 0, next position, status) of a word `True` or `False`."""
+    is_true = buffer[i] | _LOWER == _TRUE[0]
+    word = _TRUE if is_true else _FALSE
+    for k in range(len(word)):
+        # The buffer ends with a newline, which is in neither word.
+        if buffer[i + k] | _LOWER != word[k]:
+            return np.int64(0), i, NOT_A_NUMBER
+    return np.int64(is_true), i + len(word), OK
+
+
+@numba.njit(cache=True, nogil=True)
 def _line(buffer, i, time_scale):
     """Return (t, x, y, p, position of the line's newline or where it went wrong, status)."""
     x, y, p = np.int64(0), np.int64(0), np.int64(0)
@@ -106,7 +119,11 @@ def _line(buffer, i, time_scale):
             i += 1
         if buffer[i] == _NEWLINE:
             return t, x, y, p, i, TOO_FEW
-        value, i, status, exact = _number(buffer, i, 0)
+        if field == 2 and buffer[i] | _LOWER in (_TRUE[0], _FALSE[0]):
+            exact = True
+            value, i, status = _truth(buffer, i)
+        else:
+            value, i, status, exact = _number(buffer, i, 0)
         if status != OK:
             return t, x, y, p, i, status
         if not exact:
