@@ -8,7 +8,7 @@ from typing import Any, Literal, Self, get_args, get_type_hints
 
 from dvsviz.errors import ConfigError
 
-Motion = Literal["planar", "translation", "rotation"]
+Motion = Literal["planar", "translation", "rotation", "auto"]
 Objective = Literal["variance", "gradient"]
 
 
@@ -25,7 +25,8 @@ class TrackerConfig:
     """What a user may set about a tracker; everything else chooses itself.
 
     Attributes:
-        motion: `planar` (6-DoF in front of a plane), `translation` (no rotation), `rotation` (no translation).
+        motion: `planar` (6-DoF in front of a plane), `translation` (no rotation), `rotation` (no translation),
+            `auto` (planar; where the first windows show that the scene is no plane, translation before a relief).
         window: events a window; None lets the image motion choose.
         max_window_ms: a window also ends after this time.
         plane_distance: metres from the first camera to the plane, for metric output; None leaves d = 1.

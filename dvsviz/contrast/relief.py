@@ -28,6 +28,11 @@ _COLUMNS = 7
 # 0.1 left slider_depth's layers in one plane, 0.02 parted them (direction of travel 9 and 4 degrees off).
 _SMOOTH = 0.02
 _ZERO_MEAN = 0.2
+# Penalty of a squared unit of displacement by forward motion, in units of the contrast without motion, at blurs of this
+# or more: they are sharpest where events are drawn together, and a slope of depth looks like moving forward. On
+# slider_depth 0 drifted sideways by 21 % of the path, 0.01 by 1.9, 0.03 by 1.2.
+_FORWARD = 0.02
+_COARSE_PX = 2.0
 # Log inverse depth that counts as one unit of the solver.
 _DEPTH_SCALE = 0.3
 # Largest correction a stage may make: units of `_MOTION_SCALE_PX` by px of blur, and units of `_DEPTH_SCALE`.
@@ -138,15 +143,24 @@ def maximize_relief_contrast(
     before = after = 0.0
     for blur in blurs_px:
         cost = objective("variance", blur)
+        ridge = _FORWARD if blur >= _COARSE_PX else 0.0
         before = problem.evaluate(np.zeros(3), depth, cost)[0]
         reference = max(before, 1e-12)
 
         def negative(
-            z: Array, cost: Objective = cost, reference: float = reference, v: Array = v, depth: Array = depth
+            z: Array,
+            cost: Objective = cost,
+            reference: float = reference,
+            v: Array = v,
+            depth: Array = depth,
+            ridge: float = ridge,
         ) -> tuple[float, Array]:
             trial = depth + _DEPTH_SCALE * z[3:].reshape(shape)
             value, by_velocity, by_depth = problem.evaluate(v + scale * z[:3], trial, cost)
             penalty, slope = _penalty(trial, prior)
+            forward = v[2] / scale + z[2]
+            penalty += ridge * forward * forward
+            by_velocity[2] -= 2 * ridge * forward * reference / scale
             slopes = [-scale * by_velocity / reference, _DEPTH_SCALE * (slope.ravel() - by_depth / reference)]
             return penalty - value / reference, np.concatenate(slopes)
 

@@ -28,7 +28,6 @@ from dvsviz.pipeline.run import Progress, Run, check_same, header_of, part_event
 from dvsviz.session.records import Failure, LogEntry, TrackerUpdates
 from dvsviz.session.store import Origin, Session, SessionHeader, SessionWriter, open_session
 from dvsviz.tracking.tracker import Tracker
-from dvsviz.tracking.translation import ReliefOdometry
 from dvsviz.tracking.warm_up import warm_up
 
 _log = logging.getLogger(__name__)
@@ -178,8 +177,6 @@ def _changed(recording: Recording, tracker: Tracker, wanted: Branch) -> Tracker:
     config = wanted.config
     if wanted.window > 0:
         state = tracker.checkpoint()
-        if config.motion == "translation" and tracker.config.motion != "translation":
-            state |= ReliefOdometry(recording.camera).pack()
         tracker = Tracker.restore(recording.camera, config, state, recording.events)
     else:
         tracker = Tracker(recording.camera, config)

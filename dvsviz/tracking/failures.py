@@ -12,7 +12,12 @@ from dvsviz.tracking.measure import WindowImages
 
 
 def cause_of(
-    judged: Judgement, images: WindowImages, alignment: Alignment | None, events: int, good_score: float
+    judged: Judgement,
+    images: WindowImages,
+    alignment: Alignment | None,
+    events: int,
+    good_score: float,
+    is_uneven: bool = False,
 ) -> tuple[Cause, str]:
     """Return the most likely cause of a bad window, and a sentence.
 
@@ -22,6 +27,7 @@ def cause_of(
         alignment: where its events fell on the map, if it was aligned.
         events: how many it had.
         good_score: running score of good windows.
+        is_uneven: the first windows showed that the scene is not a plane.
     """
     if events < c.FAILURE_EVENTS:
         return Cause.TOO_FEW_EVENTS, f"only {events} events in the window"
@@ -33,6 +39,8 @@ def cause_of(
         return Cause.WEAK_DIRECTION, f"{in_words(judged.weak_direction)} cannot be seen in this texture"
     if images.displacement_px > c.FAILURE_FAST_PX:
         return Cause.TOO_FAST, f"faster than the search: {images.displacement_px:.0f} px in one window"
+    if is_uneven:
+        return Cause.NOT_PLANAR, "the scene is not a plane: track it with --motion auto or translation"
     if np.isfinite(judged.score):
         return (
             Cause.UNKNOWN,

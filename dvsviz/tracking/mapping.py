@@ -6,6 +6,7 @@ all three together.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -212,12 +213,7 @@ class Mapper:
     def _take_over(self, revised: Revised, traces: list[Trace]) -> None:
         self.traces, self.plane, self.map = traces, revised.plane, revised.planar_map
         self.refinements += 1
-        self._new_refined.append(
-            RefinedPoses(
-                windows=np.array([t.window for t in self.traces], dtype=np.int64),
-                Ts_world_camera=np.stack([t.T_world_start for t in self.traces]),
-            )
-        )
+        self.tell_refined([(t.window, t.T_world_start) for t in self.traces])
 
     def finish(self, *, refine: bool) -> None:
         """Refine once more with everything that was seen (if asked), and publish the last map."""
@@ -240,6 +236,16 @@ class Mapper:
     def log(self, window: int, level: str, text: str) -> None:
         """Add a line to the log of events."""
         self._new_log.append(LogEntry(window=window, level=level, text=text))
+
+    def tell_refined(self, poses: Sequence[tuple[int, Array]]) -> None:
+        """Hand over better poses (4, 4), at their windows' starts, of windows by their numbers."""
+        if poses:
+            self._new_refined.append(
+                RefinedPoses(
+                    windows=np.array([k for k, _ in poses], dtype=np.int64),
+                    Ts_world_camera=np.stack([T for _, T in poses]),
+                )
+            )
 
     def tell(self, failure: Failure) -> None:
         """Hand over a failure that has ended."""

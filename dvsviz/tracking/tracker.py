@@ -27,14 +27,15 @@ from dvsviz.events.windows import EventWindow
 from dvsviz.geometry import se3
 from dvsviz.geometry.camera import Camera
 from dvsviz.geometry.plane import Plane
-from dvsviz.session.records import Cause, Status, TrackerUpdates, WindowResult
+from dvsviz.session.records import Status, TrackerUpdates, WindowResult
 from dvsviz.tracking import constants as c
 from dvsviz.tracking import diagnose
 from dvsviz.tracking.align import Alignment, align, free_parameters
 from dvsviz.tracking.bootstrap import AHEAD, motion_by_contrast
 from dvsviz.tracking.failures import FailureWatch, cause_of
+from dvsviz.tracking.judging import judge
 from dvsviz.tracking.mapping import Mapper
-from dvsviz.tracking.measure import WindowImages, measure
+from dvsviz.tracking.measure import measure
 from dvsviz.tracking.relocalize import relocalize
 from dvsviz.tracking.state import Motion, pack, unpack
 from dvsviz.tracking.traces import Trace
@@ -61,12 +62,16 @@ class Tracker:
         self.config = config or TrackerConfig()
         self._free = free_parameters(self.config.motion)
         self._mapper = Mapper(
-            self.camera, self._free, (camera.width, camera.height), solve_normal=self.config.motion == "planar"
+            self.camera,
+            self._free,
+            (camera.width, camera.height),
+            solve_normal=self.config.motion in ("planar", "auto"),
         )
         self._motion = Motion.start()
         self.stretch = 1.0
         self._failures = FailureWatch()
-        self._relief = ReliefOdometry(self.camera) if self.config.motion == "translation" else None
+        # A camera that only turns sees no depth.
+        self._relief = ReliefOdometry(self.camera) if self.config.motion != "rotation" else None
 
     @property
     def window_size(self) -> int:
@@ -86,10 +91,13 @@ class Tracker:
         sampled = sample_window(window, c.TRACE_EVENTS, self.config.seed)
         mid_us = window.start_us + (window.end_us - window.start_us) // 2
         note = ""
-        if self._relief is not None and self._relief.not_a_plane is not False:
+        if self._relief is not None and (self._relief.is_asked or self._drifts):
             note = self._relief.look(window)
-        if self._drifts:
-            trace, alignment = self._drift(window, sampled, mid_us), None
+            if note and self._drifts:
+                self._mapper.tell_refined(self._relief.poses)
+        relief = self._relief if self._drifts else None
+        if relief is not None:
+            trace, alignment = self._drift(relief, window, sampled, mid_us), None
         elif self._mapper.map is None:
             trace, alignment = self._start(window, sampled, mid_us), None
         elif self._motion.status in (Status.LOST, Status.RELOCALIZING):
@@ -97,13 +105,24 @@ class Tracker:
         else:
             trace, alignment = self._follow(window, sampled, mid_us)
         images = measure(self.camera, self._mapper.plane, window, trace)
-        judged = self._judge(trace, alignment, images)
+        judged = judge(
+            self._motion,
+            self._mapper,
+            self._free,
+            trace,
+            alignment,
+            images,
+            None if relief is None else relief.gain,
+        )
         if judged.note:
             note = judged.note
         overlap = diagnose.overlap(self._mapper.live_map, images, trace.T_world_camera, self.camera)
         used = self._mapper.revision
         failed = self._failures.observe(
-            window.index, self._motion.status, judged.score, self._cause(judged, images, alignment, trace)
+            window.index,
+            self._motion.status,
+            judged.score,
+            cause_of(judged, images, alignment, trace.events, self._motion.good_score, self._is_uneven),
         )
         if failed is not None:
             self._mapper.tell(failed)
@@ -112,7 +131,7 @@ class Tracker:
             keyframe = self._mapper.add(trace, images.warped, overlap)
         elif self._motion.status is Status.WEAK:
             self._mapper.remember(trace)
-        if not self._drifts:
+        if relief is None:
             trace = self._mapper.advance(trace)
         if self._motion.status not in (Status.LOST, Status.RELOCALIZING):
             self._motion.T_world_camera, self._motion.omega, self._motion.velocity = (
@@ -123,7 +142,8 @@ class Tracker:
             self._motion.t_us = mid_us
         if self._motion.status not in (Status.LOST, Status.RELOCALIZING):
             wanted_px = c.WINDOW_DISPLACEMENT * self.camera.width
-            wanted_px = wanted_px if self._relief is None else c.RELIEF_DISPLACEMENT_PX
+            if relief is not None or (self.config.motion != "planar" and self._is_undecided):
+                wanted_px = c.RELIEF_DISPLACEMENT_PX
             self._motion.resize(images.displacement_px, wanted_px, self._most_events)
         if note:
             self._mapper.log(window.index, "warning" if self._motion.status is Status.LOST else "info", note)
@@ -168,6 +188,14 @@ class Tracker:
     @property
     def _drifts(self) -> bool:
         """True where the scene was found to be no plane: poses are odometry, without a map to come back to."""
+        return self._is_uneven and self.config.motion in ("translation", "auto")
+
+    @property
+    def _is_undecided(self) -> bool:
+        return self._relief is not None and self._relief.is_asked
+
+    @property
+    def _is_uneven(self) -> bool:
         return self._relief is not None and bool(self._relief.not_a_plane)
 
     def place(self, T_world_camera: Array) -> None:
@@ -276,14 +304,16 @@ class Tracker:
             first_level=first_level,
         )
 
-    def _drift(self, window: EventWindow, sampled: tuple[NDArray[np.float32], Array], mid_us: int) -> Trace:
+    def _drift(
+        self,
+        relief: ReliefOdometry,
+        window: EventWindow,
+        sampled: tuple[NDArray[np.float32], Array],
+        mid_us: int,
+    ) -> Trace:
         """Return the window moved on by the relief's velocity: odometry, no reference to come back to."""
-        dt = min((mid_us - self._motion.t_us) * 1e-6, 2e-3 * self.config.max_window_ms)
-        velocity = np.zeros(3) if self._relief is None else self._relief.velocity
-        mean = 0.5 * (self._motion.velocity + velocity)
-        self._motion.omega, self._motion.velocity = np.zeros(3), velocity
-        T = se3.propagate(self._motion.T_world_camera, np.zeros(3), mean, dt)
-        return self._trace(window, sampled, mid_us, T)
+        self._motion.omega, self._motion.velocity = np.zeros(3), relief.velocity
+        return self._trace(window, sampled, mid_us, relief.T_world_camera)
 
     def _search(
         self, window: EventWindow, sampled: tuple[NDArray[np.float32], Array], mid_us: int
@@ -326,51 +356,6 @@ class Tracker:
             f"relocalized: score {found.score:.2f}, next best {found.runner_up:.2f}",
         )
 
-    # --- judging it ----------------------------------------------------------------------------------------
-
-    def _judge(self, trace: Trace, alignment: Alignment | None, images: WindowImages) -> diagnose.Judgement:
-        """Return what the numbers say of a window, and move the status."""
-        if self._drifts:
-            sharp = self._relief is not None and self._relief.gain > c.RELIEF_GAIN
-            self._motion.status = Status.TRACKING if sharp else Status.WEAK
-            return replace(diagnose.Judgement.unknown(), confidence=0.5 if sharp else 0.1)
-        if alignment is None:
-            return diagnose.Judgement.unknown()
-        agreed = diagnose.agreement(self._mapper.live_map, alignment.value, trace.T_world_camera, self.camera)
-        condition, weak = diagnose.weakest(alignment.information, self._free)
-        good = self._motion.good_score if self._motion.good_score > 0 else agreed.score
-        ratio = agreed.score / max(good, 1e-3)
-        judged = diagnose.Judgement(
-            score=agreed.score,
-            confidence=diagnose.confidence(ratio, condition, alignment.inside),
-            condition=condition,
-            weak_direction=weak,
-            note="",
-        )
-        bad = ratio < c.LOST_RATIO or alignment.inside < c.LOST_INSIDE
-        weak_now = ratio < c.WEAK_RATIO or condition > c.WEAK_CONDITION
-        self._motion.bad_windows = self._motion.bad_windows + 1 if bad else 0
-        if self._motion.status is Status.INITIALIZING:
-            if self._mapper.refinements > 0:
-                self._motion.status = Status.TRACKING
-            self._motion.good_score = agreed.score if self._motion.good_score == 0 else self._motion.good_score
-        if self._motion.status is not Status.INITIALIZING:
-            if self._motion.bad_windows >= c.LOST_WINDOWS:
-                self._motion.status = Status.LOST
-                judged = replace(judged, note="lost: " + self._cause(judged, images, alignment, trace)[1])
-            elif bad or weak_now:
-                self._motion.status = Status.WEAK
-            else:
-                self._motion.status = Status.TRACKING
-        if self._motion.status in (Status.TRACKING, Status.INITIALIZING):
-            self._motion.good_score += c.SCORE_GAIN * (agreed.score - self._motion.good_score)
-        return judged
-
-    def _cause(
-        self, judged: diagnose.Judgement, images: WindowImages, alignment: Alignment | None, trace: Trace
-    ) -> tuple[Cause, str]:
-        return cause_of(judged, images, alignment, trace.events, self._motion.good_score)
-
     # --- checkpoints ---------------------------------------------------------------------------------------
 
     def checkpoint(self) -> dict[str, np.ndarray]:
@@ -395,6 +380,7 @@ class Tracker:
         """
         tracker = cls(camera, config)
         tracker._motion = unpack(state, camera, config.seed, tracker._mapper, source)
-        if tracker._relief is not None:
+        # A branch may go on as another motion than the one that was stored.
+        if tracker._relief is not None and "relief" in state:
             tracker._relief.unpack(state)
         return tracker
