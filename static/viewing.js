@@ -144,7 +144,8 @@ export class Viewing {
     const { state } = this;
     if (message.session !== state.session) return;
     if (message.progress) state.set({ progress: message.progress });
-    if (message.windows > state.windows || message.state !== state.detail?.state) this.grow();
+    const { state: before, recording_found: found } = state.detail ?? {};
+    if (message.windows > state.windows || message.state !== before || message.recording_found !== found) this.grow();
   }
 
   /** Fetches what a live session has more; one fetch at a time, at most a few a second. */
@@ -171,7 +172,7 @@ export class Viewing {
       if (mine !== this.#opening) return;
       columns.append(answer);
       const first = !state.windows && columns.count > 0;
-      const moved = !live || detail.map_revisions.length !== state.detail?.map_revisions.length;
+      const moved = !live || detail.map_revisions.length !== state.detail?.map_revisions.length || detail.recording_found !== state.detail?.recording_found;
       state.set({ detail, windows: columns.count, live });
       if (first) showEmpty(null);
       this.timeline.show(state);

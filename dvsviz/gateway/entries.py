@@ -33,7 +33,8 @@ def read_entry(name: str, path: Path, *, kept: bool) -> dict[str, Any]:
     session = open_session(path)
     header, status = session.header, session.column("status")
     figures = summarize(status)
-    start_s, end_s = header.part_s
+    events, last_us = session.extent
+    duration_s = (last_us - header.first_us) * 1e-6 if header.is_stream else header.part_s[1] - header.part_s[0]
     tracked_us = int(session.column("end_us")[-1] - session.column("start_us")[0]) if len(status) else 0
     summary = session.summary or {}
     return {
@@ -42,8 +43,8 @@ def read_entry(name: str, path: Path, *, kept: bool) -> dict[str, Any]:
         "format": header.recording_format,
         "width": header.camera.width,
         "height": header.camera.height,
-        "duration_s": end_s - start_s,
-        "events": header.events,
+        "duration_s": duration_s,
+        "events": events,
         "windows": session.window_count,
         "tracked_share": figures["tracked_share"],
         "losses": figures["losses"],

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import logging
 import threading
+import time
 from collections import OrderedDict
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,7 @@ _log = logging.getLogger(__name__)
 BRANCHES = "branches"
 
 _KEPT_OPEN = 6
+_LOOK_EVERY_S = 1.0
 
 
 class Library:
@@ -46,6 +48,8 @@ class Library:
         self._open: OrderedDict[str, ShownSession] = OrderedDict()
         self._opening: dict[str, threading.Lock] = {}
         self._recordings: list[Path] = []
+        # When the recording of a stream was looked for, by session.
+        self._looked_s: dict[str, float] = {}
         self.scan()
 
     @property
@@ -194,6 +198,7 @@ class Library:
         """Return what the page needs to know about an open session, once."""
         session = shown.session
         header = session.header
+        events, last_us = session.extent
         return {
             "name": shown.name,
             "recording": header.recording_name,
@@ -201,8 +206,8 @@ class Library:
             "windows": session.window_count,
             "state": self.state(session),
             "t0_us": header.first_us,
-            "duration_s": header.part_s[1],
-            "events": header.events,
+            "duration_s": (last_us - header.first_us) * 1e-6 if header.is_stream else header.part_s[1],
+            "events": events,
             "width": header.camera.width,
             "height": header.camera.height,
             "camera": {
@@ -244,12 +249,29 @@ class Library:
         recording, missing = (None, "") if is_frames else self._recording_of(session)
         return ShownSession(session, recording, missing, name=name)
 
+    def look_for_recording(self, shown: ShownSession) -> bool:
+        """Return whether the recording of a stream is there by now, once a second; its file is whole at the end."""
+        header = shown.session.header
+        if shown.recording is not None or not header.is_stream:
+            return False
+        if time.monotonic() - self._looked_s.get(shown.name, 0.0) < _LOOK_EVERY_S:
+            return False
+        self._looked_s[shown.name] = time.monotonic()
+        recording, shown.missing = self._recording_of(shown.session)
+        if recording is not None:
+            shown.set_recording(recording)
+        return recording is not None
+
     def _recording_of(self, session: Session) -> tuple[Recording | None, str]:
         """Return a session's recording, or None and why."""
         header = session.header
         stored = Path(header.recording_path)
         near = [session.path.parent / stored.name, *(p for p in self._recordings if p.name == stored.name)]
         why = f"the recording is not there any more (it was {stored}): images need its events"
+        if header.is_stream and not stored.is_absolute():
+            why = "the stream was not recorded (--record FILE): images need its events"
+        elif header.is_stream and session.is_live:
+            return None, f"the stream is being recorded ({stored}): images come when it has ended"
         for path in dict.fromkeys([stored, *near]):
             if not path.exists() or path.resolve() == session.path.resolve():
                 continue

@@ -67,6 +67,8 @@ class Watch(threading.Thread):
     def _look_at(self, shown: ShownSession) -> None:
         known = self._told.get(shown.name)
         grew = shown.refresh()
+        # The recording of a stream is whole when its run has ended, a moment after the session.
+        grew = self._library.look_for_recording(shown) or grew
         if not grew and known is not None and known[2] == "complete":
             now = known
         else:
@@ -96,6 +98,7 @@ class Watch(threading.Thread):
             "state": state,
             "status": str(STATUSES[statuses[-1]]) if len(statuses) else None,
             "progress": progress,
+            "recording_found": shown.recording is not None,
         }
         for tab in tabs:
             if beside:

@@ -291,7 +291,10 @@ class Run:
 def header_of(recording: Recording, config: TrackerConfig) -> SessionHeader:
     """Return the header of a session that is tracked with these settings."""
     return SessionHeader(
-        recording_path=str(recording.path.absolute()),
+        # A stream that is not recorded has an address.
+        recording_path=str(
+            recording.path if isinstance(recording.events, LiveEvents) else recording.path.absolute()
+        ),
         recording_name=recording.name,
         recording_format=recording.format,
         # Of a stream nobody knows yet: 0 says so.
@@ -360,6 +363,8 @@ def check_same(recording: Recording, session: Session) -> None:
     """
     header = session.header
     found = (recording.events.count, recording.first_us, recording.last_us)
+    if header.is_stream and found[0] >= session.extent[0] and found[1] == header.first_us:
+        return
     if found != (header.events, header.first_us, header.last_us):
         raise SessionError(
             f"is a session of {header.recording_path} with {header.events} events, not of {recording.path}",

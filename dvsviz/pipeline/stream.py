@@ -19,6 +19,7 @@ from dvsviz.live.receiver import connect
 from dvsviz.live.recorder import Recorder
 from dvsviz.live.source import LiveEvents
 from dvsviz.pipeline.run import Progress, track
+from dvsviz.session.header import STREAM_FORMAT
 from dvsviz.tracking.warm_up import warm_up
 
 
@@ -82,9 +83,9 @@ def track_stream(
         if not events.wait_for_first():
             raise DvsvizError("the stream ended without an event", path=where)
         recording = Recording(
-            path=record or Path(where),
+            path=Path(where) if record is None else record.absolute(),
             name=out.stem,
-            format="live stream",
+            format=STREAM_FORMAT,
             camera=camera,
             events=events,
             warnings=(guessed,) if camera.is_guess else (),

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from dvsviz.geometry.camera import Camera
 
+# `recording_format` of a stream that was tracked as it arrived.
+STREAM_FORMAT = "live stream"
 _TEXTS = ("recording_path", "recording_name", "recording_format", "config_json", "program_version", "created")
 _INTEGERS = ("events", "first_us", "last_us", "seed")
 _LENGTHS = ("mean_plane_distance", "plane_distance_world")
@@ -81,10 +83,10 @@ class SessionHeader:
     """What was run; written once, when a session is created.
 
     Attributes:
-        recording_path: where the recording was.
+        recording_path: where the recording was; of a stream that was not recorded its address, no absolute path.
         recording_name: its stem.
         recording_format: its layout, as `dvsviz info` prints it.
-        events: events in the recording.
+        events: events in the recording; 0 where it was a stream, of which nobody knew yet.
         first_us: time of its first event.
         last_us: time of its last event.
         camera: calibration that was used.
@@ -125,6 +127,11 @@ class SessionHeader:
     def duration_s(self) -> float:
         """Seconds from the recording's first to its last event."""
         return (self.last_us - self.first_us) * 1e-6
+
+    @property
+    def is_stream(self) -> bool:
+        """Whether events were tracked as they arrived."""
+        return self.recording_format == STREAM_FORMAT
 
     @property
     def part_s(self) -> tuple[float, float]:

@@ -110,6 +110,14 @@ class Session:
         return self._cache.commit.counts[schema.WINDOWS.name]
 
     @property
+    def extent(self) -> tuple[int, int]:
+        """Events of the recording and its last time, us; of a stream, as far as its windows reach by now."""
+        header = self.header
+        if not header.is_stream or self.window_count == 0:
+            return header.events, header.last_us
+        return int(self.column("end_event")[-1]), int(self.column("end_us")[-1])
+
+    @property
     def summary(self) -> dict[str, Any] | None:
         """What the run found, or None where it did not end or said nothing."""
         texts = self._cache.texts(schema.SUMMARIES) if self.complete else []

@@ -90,6 +90,12 @@ class ShownSession:
                 self._look_up()
             return changed
 
+    def set_recording(self, recording: Recording) -> None:
+        """Give the recording, which was not there before: what was drawn without it is drawn again."""
+        with self._lock:
+            self.recording, self.missing = recording, ""
+            self.generation = next(self._generations)
+
     def _look_up(self) -> None:
         """Keep what every picture asks for: which map holds from which window on, and the keyframes."""
         self._has_truth = self._has_truth or self.session.ground_truth is not None
@@ -291,7 +297,12 @@ def check_recording(session: Session, recording: Recording) -> None:
     camera = session.header.camera
     if (recording.camera.width, recording.camera.height) != (camera.width, camera.height):
         raise DvsvizError("the recording has another sensor size than the session", path=recording.path)
-    if session.header.events and recording.events.count != session.header.events:
+    count, header = recording.events.count, session.header
+    # A stream may have gone on after its last window.
+    same = count == header.events
+    if header.is_stream:
+        same = count >= session.extent[0] and recording.first_us == header.first_us
+    if not same:
         raise DvsvizError("the recording has changed since it was tracked", path=recording.path)
 
 
