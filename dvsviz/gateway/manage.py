@@ -251,7 +251,9 @@ class Manager:
             raise KeyError("there is no session of this name") from None
         for other in self._runs.all_open():
             if other.order.branch_of is not None and other.order.branch_of == path:
-                raise DvsvizError(f"{other.order.name} is being made of {name}", hint="wait until that run has ended")
+                raise DvsvizError(
+                    f"{other.order.name} is being made of {name}", hint="wait until that run has ended"
+                )
         return path
 
     def _moved(self, name: str, path: Path, wanted: str, folder: Path) -> str:
