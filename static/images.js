@@ -167,6 +167,8 @@ export class Images {
       const caption = values?.captions?.[kind];
       setText(cell.figure.querySelector(".caption b"), caption?.name ?? name);
       setText(cell.note, caption ? caption.note : values ? note(values) : "");
+      const legend = cell.figure.querySelector(".edge-legend");
+      if (legend) legend.hidden = Boolean(caption);
       if (i < 0) {
         this.#blank(cell, caption || values?.captions ? "none of this frame" : why(described, values));
         continue;
