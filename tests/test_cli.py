@@ -289,7 +289,7 @@ def test_existing_sessions_are_kept(session: Path, recording: Path, capsys: pyte
     )
     assert "say one of them" in one_error(capsys, "track", recording, "--out", session, "--resume", "--force")
     assert "not a session" in one_error(capsys, "evaluate", recording)
-    assert "name x.rrd or x.tum" in one_error(capsys, "export", session, "--to", session.with_suffix(".txt"))
+    assert "name x.rrd, x.tum" in one_error(capsys, "export", session, "--to", session.with_suffix(".txt"))
     assert "already exists" in one_error(capsys, "export", session, "--to", _touched(session.with_suffix(".tum")))
 
 

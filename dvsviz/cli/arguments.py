@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, Union, get_
 import tyro
 from tyro.conf import Positional, arg
 
+from dvsviz.cli.export_arguments import Export, Poses, Report
 from dvsviz.cli.options import Calibration, Flag, Folder, Json, Repair, Size, option, read_number, read_roi
 from dvsviz.cli.registration_arguments import Register
 from dvsviz.cli.simulation_arguments import Simulate, SimulateSuite
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
 
 Target = Literal["hdf5", "uzh", "dsec", "aedat4", "tum"]
 Align = Literal["sim3", "se3", "none"]
-Poses = Literal["refined", "online"]
 
 
 class UsageError(DvsvizError):
@@ -258,29 +258,6 @@ class Evaluate:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Export:
-    """Write a session as a rerun recording or as a TUM trajectory.
-
-    Examples:  dvsviz export sessions/r.h5 --to r.rrd  |  dvsviz export sessions/r.h5 --to r.tum
-    """
-
-    session: Annotated[Positional[Path], arg(metavar="SESSION")]
-    """The session."""
-    to: Annotated[Path, arg(metavar="FILE.rrd|FILE.tum")]
-    """The file to write; its ending says what."""
-    poses: Poses = "refined"
-    """Of a TUM file: as refined by later windows, or as known at the time."""
-    force: Flag = False
-    """Replace a file that is there."""
-
-    def run(self) -> int:
-        """Export."""
-        from dvsviz.cli.files import export
-
-        return export(self)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Serve:
     """Open the dashboard in a browser.
 
@@ -335,7 +312,8 @@ COMMANDS: dict[str, tuple[Any, str]] = {
     "track": (Track, "track a recording into a session"),
     "register": (Register, "register frames by several methods and compare them with the truth"),
     "evaluate": (Evaluate, "compare a session with the truth"),
-    "export": (Export, "write a session for rerun or as a TUM trajectory"),
+    "export": (Export, "write a session for rerun, as trajectory, table, video or 3-D page"),
+    "report": (Report, "write a session as one page to send"),
     "replay": (Replay, "serve a recording as a network stream"),
     "serve": (Serve, "open the dashboard"),
     "batch": (Batch, "track several recordings and print a table"),

@@ -10,8 +10,7 @@ from dvsviz.cli.console import note, options_of, print_fields, print_json, share
 from dvsviz.errors import DvsvizError, SessionError
 
 if TYPE_CHECKING:
-    from dvsviz.events.recording import Recording
-    from dvsviz.session.store import Session
+    pass
 
 
 def info(command: arguments.Info) -> int:
@@ -100,51 +99,6 @@ def evaluate(command: arguments.Evaluate) -> int:
     return 0
 
 
-def export(command: arguments.Export) -> int:
-    """Write a session as another file."""
-    from dvsviz.session.store import open_session
-
-    kind = command.to.suffix.lower()
-    if kind not in (".rrd", ".tum"):
-        raise DvsvizError(
-            f"cannot write {kind or 'a file without ending'}", path=command.to, hint="name x.rrd or x.tum"
-        )
-    if command.to.exists() and not command.force:
-        raise DvsvizError("already exists", path=command.to, hint="replace it with --force")
-    with open_session(command.session) as session:
-        if not session.complete:
-            note(f"warning: {command.session}: the session is incomplete, its first part is written")
-        if kind == ".tum":
-            from dvsviz.export.tum import export_tum
-
-            export_tum(session, command.to, poses=command.poses)
-        else:
-            from dvsviz.export.rerun import export_rerun
-
-            recording = _recording_of(session)
-            with share_bar(f"writing {command.to.name}") as show:
-                export_rerun(session, command.to, recording, progress=show)
-    note(f"wrote {command.to}")
-    return 0
-
-
-def _recording_of(session: Session) -> Recording | None:
-    """Return the recording of a session, or None with a line about it where it is gone or does not open."""
-    from dvsviz.events.filters import FilterConfig
-    from dvsviz.formats.open import open_recording
-
-    header = session.header
-    try:
-        return open_recording(
-            Path(header.recording_path),
-            size=(header.camera.width, header.camera.height),
-            filters=None if header.filters_json is None else FilterConfig.from_json(header.filters_json),
-        )
-    except DvsvizError as error:
-        note(f"warning: {error}; only the images of the keyframes are written")
-        return None
-
-
 def _session_info(path: Path) -> dict[str, Any]:
     """Return what a session holds; the keys of a recording's description come first."""
     import json
@@ -163,8 +117,8 @@ def _session_info(path: Path) -> dict[str, Any]:
             "name": session.name,
             "state": state,
             "complete": session.complete,
-            "events": header.events,
-            "duration_s": header.duration_s,
+            "events": session.extent[0],
+            "duration_s": (session.extent[1] - header.first_us) * 1e-6,
             "width": header.camera.width,
             "height": header.camera.height,
             "recording": header.recording_path,

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from dvsviz.errors import DvsvizError
 from dvsviz.session.records import STATUSES
@@ -13,29 +16,49 @@ _POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 _PLAIN = ("contrast_before", "contrast_after", "overlap", "score", "confidence", "condition")
 
 
-def figures_csv(shown: ShownSession) -> str:
-    """Return one line a window: times, state, refined pose, velocities, what was measured, errors where known.
+UNITS = {
+    **dict.fromkeys(("start_us", "end_us"), "us"),
+    **dict.fromkeys(("first_event", "end_event"), "events"),
+    **dict.fromkeys(("x", "y", "z"), "plane distance"),
+    **{f"omega_{axis}_rad_s": "rad/s" for axis in "xyz"},
+    **{f"velocity_{axis}_d_s": "plane distance/s" for axis in "xyz"},
+    "event_rate_hz": "Hz",
+    "error_percent": "% of the plane distance",
+    "error_deg": "deg",
+}
+"""Units of the columns of `figures`; of the others 1."""
 
-    Positions are in plane distances; an empty field is a value that is not known.
+
+def figures(shown: ShownSession) -> dict[str, NDArray[Any]]:
+    """Return a column a figure, a row a window (N,): times, state, refined pose, velocities, measurements, errors.
+
+    Positions are in plane distances; NaN is a value that is not known. `status` holds texts.
     """
     columns = shown.session.columns()
     plotted = shown.plotted(0)
     poses = shown.poses()
-    names = ["window", "start_us", "end_us", "first_event", "end_event", "status", *_POSE]
-    names += [f"omega_{axis}_rad_s" for axis in "xyz"] + [f"velocity_{axis}_d_s" for axis in "xyz"]
-    names += [*_PLAIN, "event_rate_hz", "error_percent", "error_deg", "keyframe", "map_revision"]
     count = len(poses)
-    table: list[list[str]] = [[str(window) for window in range(count)]]
-    table += [[str(value) for value in columns[name][:count]] for name in names[1:5]]
-    table.append([str(STATUSES[number]) for number in columns["status"][:count]])
-    floats = [*poses[:, :3, 3].T, *shown.quaternions().T]
-    floats += [*columns["omega"][:count].T, *columns["velocity"][:count].T]
-    floats += [columns[name][:count] for name in _PLAIN]
-    floats += [plotted[name][:count] for name in ("event_rate_hz", "error_percent", "error_deg")]
-    table += [[f"{value:.9g}" if np.isfinite(value) else "" for value in column] for column in floats]
-    table += [[str(value) for value in columns[name][:count]] for name in ("keyframe", "map_revision")]
-    lines = [",".join(names), *(",".join(row) for row in zip(*table, strict=True))]
-    return "\n".join(lines) + "\n"
+    found: dict[str, NDArray[Any]] = {"window": np.arange(count)}
+    found |= {name: columns[name][:count] for name in ("start_us", "end_us", "first_event", "end_event")}
+    found["status"] = np.array([str(STATUSES[number]) for number in columns["status"][:count]], dtype=object)
+    found |= dict(zip(_POSE, [*poses[:, :3, 3].T, *shown.quaternions().T], strict=True))
+    found |= {f"omega_{axis}_rad_s": v for axis, v in zip("xyz", columns["omega"][:count].T, strict=True)}
+    found |= {f"velocity_{axis}_d_s": v for axis, v in zip("xyz", columns["velocity"][:count].T, strict=True)}
+    found |= {name: columns[name][:count] for name in _PLAIN}
+    found |= {name: plotted[name][:count] for name in ("event_rate_hz", "error_percent", "error_deg")}
+    return found | {name: columns[name][:count] for name in ("keyframe", "map_revision")}
+
+
+def figures_csv(shown: ShownSession) -> str:
+    """Return the figures as one line a window after their names; an empty field is a value that is not known."""
+    table = figures(shown)
+    texts = [
+        [f"{value:.9g}" if np.isfinite(value) else "" for value in column]
+        if column.dtype.kind == "f"
+        else [str(value) for value in column]
+        for column in table.values()
+    ]
+    return "\n".join([",".join(table), *(",".join(row) for row in zip(*texts, strict=True))]) + "\n"
 
 
 def map_png(shown: ShownSession) -> bytes:

@@ -13,7 +13,7 @@ import logging
 import secrets
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import cv2
@@ -163,6 +163,28 @@ class TabScene:
             for name, handle in self._handles.items():
                 handle.visible = self._layers[name]
             self._registration.set_layers(self._layers)
+
+    def as_page(
+        self, shown: ShownSession, windows: Sequence[int], step_s: float, progress: Callable[[float], None]
+    ) -> str:
+        """Return the open session as an HTML page of its own, in which the camera flies through windows.
+
+        Args:
+            shown: the session that is open.
+            windows: where the camera stands at each step.
+            step_s: seconds between them.
+            progress: called with the share that is done, 0 to 1.
+        """
+        with self._lock:
+            self._show_map(shown)
+            self._move_frustum(shown, windows[0])
+            film = self._server.get_scene_serializer()
+            for step, window in enumerate(windows):
+                self._move_frustum(shown, window)
+                film.insert_sleep(step_s)
+                if step % 50 == 0:
+                    progress(min(0.9, step / len(windows)))
+            return film.as_html(dark_mode=True)
 
     def stop(self) -> None:
         """Stop the viser server and its threads."""
