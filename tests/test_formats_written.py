@@ -3,9 +3,11 @@
 import struct
 from pathlib import Path
 
+import cv2
 import h5py
 import numpy as np
 import pytest
+import yaml
 from scipy.io import savemat
 
 from dvsviz.errors import FormatError
@@ -48,6 +50,61 @@ def test_dsec(tmp_path: Path, events: Events) -> None:
         file["t_offset"] = np.int64(49_599_300_523)
     assert assert_read(tmp_path / "events.h5", events, 49_599_300_523)[0] == "DSEC HDF5"
     assert open_recording(tmp_path / "events.h5").camera.width == 640
+
+
+DSEC_CAMERA = """
+intrinsics:
+  cam0: {camera_model: pinhole, camera_matrix: [553.4, 552.9, 346.6, 216.5], resolution: [640, 480],
+         distortion_model: radtan, distortion_coeffs: [-0.0935, 0.1948, 0.0, 0.0018]}
+  cam3: {camera_model: pinhole, camera_matrix: [560.0, 561.0, 340.0, 220.0], resolution: [640, 480],
+         distortion_model: radtan, distortion_coeffs: [-0.09, 0.19, 0.0, 0.001]}
+  camRect0: {camera_model: pinhole, camera_matrix: [583.3, 583.3, 336.5, 220.9], resolution: [640, 480]}
+extrinsics:
+  R_rect0: [[0.99995, -0.006, 0.008], [0.006, 0.99998, 0.0], [-0.008, 0.0, 0.99997]]
+"""
+
+
+@pytest.mark.filterwarnings("error")
+def test_dsec_calibration_and_rectify_map(tmp_path: Path, events: Events) -> None:
+    left, right = tmp_path / "events/left", tmp_path / "events/right"
+    for folder in (left, right):
+        folder.mkdir(parents=True)
+        with h5py.File(folder / "events.h5", "w") as file:
+            for name, column in (
+                ("t", events.t_us),
+                ("x", events.x_px),
+                ("y", events.y_px),
+                ("p", events.is_positive),
+            ):
+                file[f"events/{name}"] = column.astype(np.uint32)
+            file["t_offset"] = np.int64(7)
+    values = yaml.safe_load(DSEC_CAMERA)
+    fx, fy, cx, cy = values["intrinsics"]["cam0"]["camera_matrix"]
+    px = np.stack(np.meshgrid(np.arange(640.0), np.arange(480.0)), axis=-1).reshape(-1, 1, 2)
+    focal, _, u, v = values["intrinsics"]["camRect0"]["camera_matrix"]
+    mapped = cv2.undistortPoints(
+        px,
+        np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]),
+        np.array(values["intrinsics"]["cam0"]["distortion_coeffs"]),
+        R=np.array(values["extrinsics"]["R_rect0"]),
+        P=np.array([[focal, 0, u], [0, focal, v], [0, 0, 1]]),
+        criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12),
+    ).reshape(480, 640, 2)
+    with h5py.File(left / "rectify_map.h5", "w") as file:
+        file["rectify_map"] = mapped.astype(np.float32)
+    # The map alone is no calibration, and says what is missing.
+    alone = open_recording(left / "events.h5")
+    assert alone.camera.is_guess and "the rectify map alone tells no focal length" in alone.warnings[0]
+    (tmp_path / "calibration").mkdir()
+    (tmp_path / "calibration/cam_to_cam.yaml").write_text(DSEC_CAMERA)
+    said = open_recording(left / "events.h5", calibration=tmp_path / "calibration/cam_to_cam.yaml")
+    found = open_recording(left / "events.h5")
+    assert found.camera == said.camera and found.camera.fx == fx and not found.camera.is_guess
+    assert found.warnings == ("calibration taken from cam_to_cam.yaml beside the events",)
+    assert open_recording(right / "events.h5").camera.fx == 560.0
+    with h5py.File(left / "rectify_map.h5", "r+") as file:
+        file["rectify_map"][...] = mapped + 5
+    assert "up to 7.1 px apart" in open_recording(left / "events.h5").warnings[1]
 
 
 def test_mvsec(tmp_path: Path, events: Events) -> None:
@@ -105,6 +162,42 @@ def test_mat(tmp_path: Path, events: Events, start: int) -> None:
     assert found[0] == "MATLAB" and ("count from 1" in found[2]) is bool(start)
     savemat(tmp_path / "n.mat", {"ts": events.t_us, "x": x, "y": y, "pol": p})
     assert_read(tmp_path / "n.mat", events, size=(W, H))
+    savemat(tmp_path / "s.mat", {"TD": {"ts": events.t_us, "x": x, "y": y, "p": p}, "other": 3.0})
+    assert_read(tmp_path / "s.mat", events, size=(W, H))
+
+
+def mat73(path: Path, arrays: dict[str, np.ndarray], struct: str = "") -> Path:
+    """Write what MATLAB's `save -v7.3` does: HDF5 behind 512 bytes of header, arrays column by column."""
+    with h5py.File(path, "w", userblock_size=512, libver="latest") as file:
+        group = file.create_group(struct) if struct else file
+        for name, array in arrays.items():
+            group[name] = np.atleast_2d(array).T if array.ndim == 2 else array[None, :]
+            group[name].attrs["MATLAB_class"] = np.bytes_("double" if array.dtype.kind == "f" else str(array.dtype))
+        file["note"] = np.frombuffer(b"fast", np.uint8)[:, None].astype(np.uint16)
+        file["note"].attrs["MATLAB_class"] = np.bytes_("char")
+        file.create_group("#refs#")
+    with path.open("r+b") as file:
+        text = b"MATLAB 7.3 MAT-file, Platform: GLNXA64, Created on: Mon Jan  1 00:00:00 2024 HDF5 schema 1.00 ."
+        file.write(text.ljust(116) + bytes(8) + b"\x00\x02IM")
+    return path
+
+
+@pytest.mark.parametrize("start", [0, 1])
+def test_mat_of_version_73(tmp_path: Path, events: Events, start: int) -> None:
+    x, y = (values.astype(float) + start for values in (events.x_px, events.y_px))
+    p, t = np.where(events.is_positive, 1.0, -1.0), events.t_us.astype(float)
+    found = assert_read(mat73(tmp_path / "m.mat", {"aedat": np.column_stack([x, y, p, t])}), events)
+    assert found[0] == "MATLAB 7.3" and ("count from 1" in found[2]) is bool(start)
+    columns = {"ts": events.t_us, "x": x.astype(np.uint16), "y": y.astype(np.uint16), "p": p}
+    assert_read(mat73(tmp_path / "s.mat", columns, struct="TD"), events, size=(W, H))
+    with pytest.raises(FormatError, match="no events among"):
+        open_recording(mat73(tmp_path / "n.mat", {"weights": t}))
+    with pytest.raises(FormatError, match="a time or pixel is not a whole number"):
+        open_recording(mat73(tmp_path / "f.mat", columns | {"x": x + 0.5}))
+    data = (tmp_path / "m.mat").read_bytes()
+    (tmp_path / "cut.mat").write_bytes(data[: len(data) // 2])
+    with pytest.raises(FormatError, match=r"cut\.mat: damaged or cut short"):
+        open_recording(tmp_path / "cut.mat")
 
 
 def aedat3(path: Path, events: Events, *, cut: int = 0) -> Path:

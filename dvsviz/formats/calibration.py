@@ -45,8 +45,12 @@ class Calibration:
         )
 
 
-def read_calibration(path: Path) -> Calibration:
+def read_calibration(path: Path, *, camera: str = "cam0") -> Calibration:
     """Return the calibration in a file, its layout told by its content.
+
+    Args:
+        path: the file.
+        camera: which one is taken of DSEC's `cam_to_cam.yaml`, which holds four.
 
     Raises:
         FormatError: no such file, no known layout, or numbers that are missing, too many or impossible.
@@ -58,10 +62,10 @@ def read_calibration(path: Path) -> Calibration:
     except OSError as error:
         hint = "check the path given with --calibration"
         raise FormatError(f"cannot be read: {error.strerror}", path=path, hint=hint) from error
-    return parse_calibration(data, path)
+    return parse_calibration(data, path, camera=camera)
 
 
-def parse_calibration(data: bytes, path: Path) -> Calibration:
+def parse_calibration(data: bytes, path: Path, *, camera: str = "cam0") -> Calibration:
     """Return the calibration in the bytes of a file; `path` is named in errors."""
     try:
         text = data.decode("utf-8-sig")
@@ -74,7 +78,7 @@ def parse_calibration(data: bytes, path: Path) -> Calibration:
     if "=" in text and ":" not in text:
         return _from_toml(text, path)
     if ":" in text:
-        return _from_yaml(text, path)
+        return _from_yaml(text, path, camera)
     line = 1 + next(number for number, found in enumerate(lines) if found)
     # Some copies of the dataset add the sensor's `width height` on a second line.
     size = None
@@ -98,7 +102,7 @@ def _from_toml(text: str, path: Path) -> Calibration:
     )
 
 
-def _from_yaml(text: str, path: Path) -> Calibration:
+def _from_yaml(text: str, path: Path, camera: str) -> Calibration:
     try:
         values = yaml.safe_load(text)
     except yaml.YAMLError as error:
@@ -112,8 +116,10 @@ def _from_yaml(text: str, path: Path) -> Calibration:
         _unknown(path)
     if isinstance(values.get("intrinsics"), dict):
         values = values["intrinsics"]
+        if isinstance(values.get(camera), dict):
+            return _from_kalibr(values[camera], path, camera)
     if isinstance(values.get("cam0"), dict):
-        return _from_kalibr(values["cam0"], path)
+        return _from_kalibr(values["cam0"], path, "cam0")
     if isinstance(values.get("camera_matrix"), dict):
         return _from_camera_info(values, path)
     if "fx" in values:
@@ -123,21 +129,19 @@ def _from_yaml(text: str, path: Path) -> Calibration:
     _unknown(path)
 
 
-def _from_kalibr(camera: dict[str, Any], path: Path) -> Calibration:
+def _from_kalibr(camera: dict[str, Any], path: Path, name: str) -> Calibration:
     model = camera.get("camera_model", "pinhole")
     if model != "pinhole":
         _unsupported(f"camera model {model!r}", path)
     _check_model(camera.get("distortion_model", "radtan"), path)
     pinhole = camera.get("intrinsics", camera.get("camera_matrix"))
     if not isinstance(pinhole, list) or len(pinhole) != 4:
-        raise FormatError(
-            "expected four intrinsics fx fy cx cy", path=path, place="cam0", hint="calibrate it again"
-        )
+        raise FormatError("expected four intrinsics fx fy cx cy", path=path, place=name, hint="calibrate it again")
     resolution = camera.get("resolution")
     size = None
     if isinstance(resolution, list) and len(resolution) == 2:
         size = _size(resolution[0], resolution[1], path)
-    return _checked(pinhole, camera.get("distortion_coeffs", []), size, path, "cam0")
+    return _checked(pinhole, camera.get("distortion_coeffs", []), size, path, name)
 
 
 def _from_camera_info(values: dict[str, Any], path: Path) -> Calibration:

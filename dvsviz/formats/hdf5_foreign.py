@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from dvsviz.errors import FormatError
 from dvsviz.formats.checks import check_stored
 from dvsviz.formats.columns import Columns, find_names, tell_order
+from dvsviz.formats.dsec import dsec_camera
 from dvsviz.formats.sink import RecordingSink
 from dvsviz.formats.sizes import KNOWN_SIZES, assumption, require_size
 from dvsviz.geometry.camera import Camera
@@ -91,7 +92,13 @@ def _convert(file: h5py.File, path: Path, sink: RecordingSink) -> None:
             max_x, max_y = max(max_x, int(x.max())), max(max_y, int(y.max()))
         size = require_size(max_x, max_y, path)
         sink.warn(assumption(size))
-    sink.start(_camera(file, size))
+    if kind == "DSEC HDF5":
+        camera, warnings = dsec_camera(file, path, size)
+        for warning in warnings:
+            sink.warn(warning)
+        sink.start(camera)
+    else:
+        sink.start(_camera(file, size))
     for share, (t, x, y, p) in blocks():
         sink.add(_microseconds(t, path) + offset, _whole(x, path), _whole(y, path), p > 0)
         sink.options.report(share)

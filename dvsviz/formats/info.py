@@ -28,10 +28,10 @@ def describe(path: Path, **options: Any) -> dict[str, Any]:
 
     Keys: `format, name, path, events, duration_s, width, height, rate_hz, peak_rate_hz, first_us, last_us,
     positive_share, streams, triggers` (how many of each kind), `calibrated, camera, rate_over_time_hz` (60 equal
-    parts of the duration), `sparkline, gaps, longest_gap_s` (pauses of at least 100 ms), `duplicates`
-    (events that repeat time, pixel and polarity of the one before them on that pixel), `hot_pixels, hot_share, hot_pixels_at` (x, y, events of the loudest eight),
-    `out_of_order` (events that `repair` dropped for it; without repair such a file is refused), `filters,
-    events_before_filters, warnings`.
+    parts of the duration), `sparkline, gaps, longest_gap_s` (pauses of at least 100 ms), `duplicates` (events that
+    repeat time, pixel and polarity of the one before them on that pixel), `hot_pixels, hot_share, hot_pixels_at` (x,
+    y, events of the loudest eight), `out_of_order` (events that `repair` dropped for it; without repair such a file
+    is refused), `filters, events_before_filters, warnings`.
 
     Args:
         path: the recording.

@@ -67,6 +67,11 @@ def convert_mat(path: Path, sink: RecordingSink) -> None:
 
 
 def _columns(arrays: dict[str, Any], path: Path) -> Columns:
+    # A struct of columns: its fields are looked at like variables.
+    for group in [a for a in arrays.values() if isinstance(a, np.ndarray) and a.dtype.names and a.size == 1]:
+        fields = {name: group[name].ravel()[0] for name in group.dtype.names or ()}
+        if find_names([name for name, a in fields.items() if isinstance(a, np.ndarray)]) is not None:
+            arrays = fields
     numeric = {n: a for n, a in arrays.items() if isinstance(a, np.ndarray) and a.dtype.kind in "iufb" and a.size}
     names = find_names(list(numeric))
     if names is not None:

@@ -12,7 +12,18 @@ import h5py
 from dvsviz.errors import FormatError
 from dvsviz.events.filters import FilterConfig
 from dvsviz.events.recording import Recording
-from dvsviz.formats import aedat2, aedat3, aedat4, event_stream, hdf5_foreign, matlab, prophesee, ros
+from dvsviz.formats import (
+    aedat2,
+    aedat3,
+    aedat4,
+    dsec,
+    event_stream,
+    hdf5_foreign,
+    matlab,
+    matlab73,
+    prophesee,
+    ros,
+)
 from dvsviz.formats.arrays import convert_npy, convert_npz
 from dvsviz.formats.cache import cached
 from dvsviz.formats.calibration import read_calibration
@@ -72,7 +83,7 @@ def open_recording(
     if ground_truth is not None and str(ground_truth).startswith("/") and not Path(ground_truth).exists():
         truth_topic = str(ground_truth)
     options = OpenOptions(size=size, repair=repair, topic=topic, truth_topic=truth_topic, progress=progress)
-    found = None if calibration is None else read_calibration(calibration)
+    found = None if calibration is None else read_calibration(calibration, camera=dsec.camera_name(path))
     if found is not None and found.size is not None and size is None:
         options = replace(options, size=found.size)
     try:
@@ -151,6 +162,9 @@ def _open_file(path: Path, options: OpenOptions) -> Recording:
         return _converted(path, [path], options, aedat2.FORMAT_NAME, lambda sink: aedat2.convert_aedat2(path, sink))
     if head.startswith(matlab.MAGIC):
         return _converted(path, [path], options, matlab.FORMAT_NAME, lambda sink: matlab.convert_mat(path, sink))
+    if head.startswith(matlab73.MAGIC):
+        name = matlab73.FORMAT_NAME
+        return _converted(path, [path], options, name, lambda sink: matlab73.convert_mat73(path, sink))
     if head.startswith(event_stream.MAGIC):
         name = event_stream.FORMAT_NAME
         return _converted(path, [path], options, name, lambda sink: event_stream.convert_event_stream(path, sink))
@@ -197,7 +211,8 @@ def _open_hdf5(path: Path, options: OpenOptions) -> Recording:
             if not options.repair or kind is None:
                 raise
     name = kind or hdf5_foreign.FORMAT_NAME
-    return _converted(path, [path], options, name, lambda sink: hdf5_foreign.convert_hdf5(path, sink))
+    files = [path, *dsec.beside(path)] if name == "DSEC HDF5" else [path]
+    return _converted(path, files, options, name, lambda sink: hdf5_foreign.convert_hdf5(path, sink))
 
 
 def _resized(recording: Recording, options: OpenOptions) -> Recording:
