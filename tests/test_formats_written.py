@@ -309,6 +309,7 @@ def test_dvs_msgs_bag(tmp_path: Path, events: Events, version: int) -> None:
             for name in ("/dvs/events", "/other/events")
         }
         pose = writer.add_connection("/pose", "geometry_msgs/msg/PoseStamped", typestore=store)
+        other = writer.add_connection("/other/pose", "geometry_msgs/msg/PoseStamped", typestore=store)
         for first in range(0, len(few), 500):
             part = few[first : first + 500]
             columns = (part.t_us, part.x_px, part.y_px, part.is_positive)
@@ -325,6 +326,10 @@ def test_dvs_msgs_bag(tmp_path: Path, events: Events, version: int) -> None:
             posed = types["geometry_msgs/msg/Pose"](position=point, orientation=turn)
             posed = types["geometry_msgs/msg/PoseStamped"](header=header(at), pose=posed)
             writer.write(pose, at * 1000, serialize(posed, pose.msgtype))
+            point = types["geometry_msgs/msg/Point"](x=7.0, y=8.0, z=9.0)
+            moved = types["geometry_msgs/msg/Pose"](position=point, orientation=turn)
+            moved = types["geometry_msgs/msg/PoseStamped"](header=header(at), pose=moved)
+            writer.write(other, at * 1000, serialize(moved, other.msgtype))
     with pytest.raises(FormatError, match="2 event topics; choose one with --topic: /dvs/events, /other/events"):
         open_recording(path)
     with pytest.raises(FormatError, match="no event topic /none; event topics are: /dvs/events, /other/events"):
@@ -333,6 +338,12 @@ def test_dvs_msgs_bag(tmp_path: Path, events: Events, version: int) -> None:
     truth = open_recording(path, topic="/dvs/events").ground_truth
     assert truth is not None
     np.testing.assert_array_equal(truth.positions, [[1, 2, 0], [1, 2, 500], [1, 2, 1000]])
+    chosen = open_recording(path, topic="/dvs/events", ground_truth="/other/pose", gt_offset_s=0.5).ground_truth
+    assert chosen is not None
+    np.testing.assert_array_equal(chosen.positions, [[7, 8, 9]] * 3)
+    np.testing.assert_array_equal(chosen.t_us, few.t_us[::500] + 500_000)
+    with pytest.raises(FormatError, match="no topic /none of poses; topics of poses are: /other/pose, /pose"):
+        open_recording(path, topic="/dvs/events", ground_truth="/none")
 
 
 @pytest.mark.parametrize("compression", ["NONE", "LZ4", "ZSTD"])
