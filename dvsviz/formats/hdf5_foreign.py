@@ -73,7 +73,7 @@ def _convert(file: h5py.File, path: Path, sink: RecordingSink) -> None:
         found = _find(file)
         if found is None:
             _refuse("no events of a known layout", path)
-        datasets, size = found, (_DSEC_SIZE if kind == "DSEC HDF5" else _size(file))
+        datasets, size = found, _size(file) or (_DSEC_SIZE if kind == "DSEC HDF5" else None)
     for dataset in datasets:
         check_stored(dataset, path)
     shapes = [dataset.shape for dataset in datasets]
