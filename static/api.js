@@ -39,7 +39,9 @@ export const login = (token) => post("/api/login", { token });
 export const sessions = async () => (await call("/api/sessions")).json();
 /** What there is to know about a session, and the address of the 3-D scene of a tab. */
 export const session = async (name, tab) => (await call(`${place(name)}?tab=${tab}`)).json();
-export const startExport = async (name, to) => (await (await post(`${place(name)}/export`, { to })).json()).id;
+/** Begins an export `{to, start_s, end_s}`; resolves to its id. */
+export const startExport = async (name, wanted) => (await (await post(`${place(name)}/export`, wanted)).json()).id;
+export const stopExport = (id) => post(`/api/exports/${encodeURIComponent(id)}/stop`, {});
 export const exportAddress = (id) => `/api/exports/${encodeURIComponent(id)}`;
 /** Sets a bookmark `{window, text}` or takes one away `{delete: number}`; resolves to those there are. */
 export const bookmark = async (name, change) => (await (await post(`${place(name)}/bookmarks`, change)).json()).bookmarks;

@@ -51,7 +51,7 @@ const list = new Sessions(state, { manage: (name) => manage.open(name), act: (na
 const runDialog = new RunDialog({ started: (name) => (awaited = name) });
 const beside = new Beside({ state, socket, timeline }, () => branching.show());
 const branching = new Branching({ state, socket, beside }, { problem: flash, manage: (name) => manage.open(name) });
-const exporting = new Exports(state);
+const exporting = new Exports(state, timeline);
 new Numbers(state);
 const imageBar = new ImageBar(state, images, () => viewing.ask());
 const landscape = new Landscape(state, (message) => socket.send(message));

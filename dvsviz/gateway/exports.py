@@ -13,13 +13,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from dvsviz.errors import DvsvizError
-from dvsviz.view.figures import figures_csv, map_png
+from dvsviz.errors import DvsvizError, RunCancelled
+from dvsviz.export.writers import Kind, Part, write
 from dvsviz.view.shown import ShownSession
 
 _log = logging.getLogger(__name__)
 
-FORMATS = ("rrd", "tum", "csv", "png")
 _KEPT = 20
 
 
@@ -44,31 +43,59 @@ class Exports:
         self._folder = tempfile.TemporaryDirectory(prefix="dvsviz-export-")
         self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="export")
         self._done: OrderedDict[str, Export] = OrderedDict()
+        self._stops: dict[str, threading.Event] = {}
         self._lock = threading.Lock()
         self._closed = False
 
-    def start(self, shown: ShownSession, to: str, tell: Callable[[dict[str, Any]], None]) -> str:
+    def start(
+        self, shown: ShownSession, kind: Kind, tell: Callable[[dict[str, Any]], None], part: Part | None = None
+    ) -> str:
         """Queue an export and return its number.
 
         Args:
             shown: the session.
-            to: one of `FORMATS`.
+            kind: what is written.
             tell: called with `export` messages of the dashboard's protocol.
+            part: of a video, which part of the time.
         """
         number = secrets.token_urlsafe(16)
-        name = f"{shown.name}.{to}"
+        name = f"{shown.name}{kind.ending}"
         message = {"type": "export", "id": number, "share": 0.0, "done": False, "name": name, "error": ""}
+        stop = self._stops[number] = threading.Event()
 
         def ended(job: Future[None]) -> None:
             """Say that it failed, whatever the reason: the page would wait for ever."""
+            self._stops.pop(number, None)
             if job.cancelled() or (error := job.exception()) is None:
+                return
+            if isinstance(error, RunCancelled):
+                tell(message | {"error": str(error)})
                 return
             expected = isinstance(error, (DvsvizError, OSError))
             _log.warning("export of %s: %s", name, error, exc_info=None if expected else error)
             tell(message | {"error": str(error) if expected else f"the export failed: {error!r}"})
 
-        self._worker.submit(self._make, number, shown, to, message, tell).add_done_callback(ended)
+        def progress(share: float) -> None:
+            if stop.is_set() or self._closed:
+                raise RunCancelled("stopped")
+            tell(message | {"share": float(share)})
+
+        path = Path(self._folder.name) / f"{number}{kind.ending}"
+        job = self._worker.submit(self._make, shown, kind, path, part, message, tell, progress)
+        job.add_done_callback(ended)
         return number
+
+    def stop(self, number: str) -> None:
+        """Stop an export that waits or is being made; one that has ended stays.
+
+        Raises:
+            KeyError: there is no such export.
+        """
+        stop = self._stops.get(number)
+        if stop is not None:
+            stop.set()
+        elif self.get(number) is None:
+            raise KeyError("there is no such export; make it again")
 
     def get(self, number: str) -> Export | None:
         """Return a finished export, or None."""
@@ -83,33 +110,18 @@ class Exports:
 
     def _make(
         self,
-        number: str,
         shown: ShownSession,
-        to: str,
+        kind: Kind,
+        path: Path,
+        part: Part | None,
         message: dict[str, Any],
         tell: Callable[[dict[str, Any]], None],
+        progress: Callable[[float], None],
     ) -> None:
-        path = Path(self._folder.name) / f"{number}.{to}"
-        tell(message)
-        if to == "rrd":
-            from dvsviz.export.rerun import export_rerun  # 0.4 s to import: not before somebody exports
-
-            export_rerun(
-                shown.session,
-                path,
-                recording=shown.recording,
-                progress=lambda share: tell(message | {"share": float(share)}),
-            )
-        elif to == "tum":
-            from dvsviz.export.tum import export_tum
-
-            export_tum(shown.session, path)
-        elif to == "csv":
-            path.write_text(figures_csv(shown), encoding="utf-8")
-        else:
-            path.write_bytes(map_png(shown))
+        progress(0.0)
+        write(shown, kind, path, part, progress)
         with self._lock:
-            self._done[number] = Export(path=path, name=message["name"])
+            self._done[message["id"]] = Export(path=path, name=message["name"])
             while len(self._done) > _KEPT:
                 _, old = self._done.popitem(last=False)
                 old.path.unlink(missing_ok=True)

@@ -19,7 +19,9 @@ from starlette.types import ASGIApp
 from starlette.websockets import WebSocket
 
 from dvsviz.errors import DvsvizError
-from dvsviz.gateway.exports import FORMATS, Exports
+from dvsviz.export.writers import Kind
+from dvsviz.gateway import wishes
+from dvsviz.gateway.exports import Exports
 from dvsviz.gateway.library import Library, bookmarks_of
 from dvsviz.gateway.manage import Manager
 from dvsviz.gateway.messages import pack_columns
@@ -74,6 +76,7 @@ class Routes:
             "/api/sessions/{name}/export": (self.export, "POST"),
             "/api/sessions/{name}/bookmarks": (self.bookmarks, "POST"),
             "/api/exports/{number}": (self.exported, "GET"),
+            "/api/exports/{number}/stop": (self.stop_export, "POST"),
             "/api/sessions/{name}/change": (self.change, "POST"),
             "/api/sessions/{name}/branch": (self.branch, "POST"),
             "/api/sessions/{name}/preview": (self.preview, "POST"),
@@ -151,15 +154,16 @@ class Routes:
 
     async def export(self, request: Request) -> Response:
         """Begin an export."""
-        shown, to = await self._shown(request), (await _body(request)).get("to")
-        if to not in FORMATS:
-            raise ValueError(f"to: expected one of {', '.join(FORMATS)}")
+        shown, body = await self._shown(request), await _body(request)
+        if body.get("to") not in tuple(Kind):
+            raise ValueError(f"to: expected one of {', '.join(Kind)}")
+        kind, part = Kind(body["to"]), wishes.part_from(body)
 
         def tell(message: dict[str, Any]) -> None:
             for tab in self._tabs.all():
                 tab.tell(message, f"export {message['id']}")
 
-        return JSONResponse({"id": self._exports.start(shown, to, tell)})
+        return JSONResponse({"id": self._exports.start(shown, kind, tell, part)})
 
     async def bookmarks(self, request: Request) -> Response:
         """Set a bookmark or take one away, in the session's file, and return those there are."""
@@ -181,6 +185,11 @@ class Routes:
         if export is None:
             raise KeyError("there is no such export; make it again")
         return FileResponse(export.path, filename=export.name, media_type="application/octet-stream")
+
+    async def stop_export(self, request: Request) -> Response:
+        """Stop an export."""
+        self._exports.stop(request.path_params["number"])
+        return Response(status_code=204)
 
     async def run(self, request: Request) -> Response:
         """Pause, resume or cancel a run."""

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from dvsviz.config import TrackerConfig
 from dvsviz.events.filters import FilterConfig
+from dvsviz.export.writers import Part
 from dvsviz.geometry import se3
 from dvsviz.geometry.camera import Camera
 
@@ -184,3 +185,20 @@ def _number(value: object, name: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise ValueError(f"{name}: expected a number, got {value!r}")
     return float(value)
+
+
+def part_from(body: dict[str, Any]) -> Part:
+    """Return the part of a session's time that an export is asked of: `start_s`, `end_s`, `speed`, each may be absent.
+
+    Raises:
+        ValueError: one is no number.
+    """
+    found: dict[str, float] = {}
+    for name in ("start_s", "end_s", "speed"):
+        value = body.get(name)
+        if value is None:
+            continue
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise ValueError(f"{name}: expected a number, got {value!r}")
+        found[name] = float(value)
+    return Part(**found)
