@@ -40,17 +40,22 @@ class RecordingWriter:
     Args:
         path: the file to make; replaced where it exists.
         camera: sensor size and calibration; a guessed calibration is not written.
+        growing: others may read the events while they are written (`hdf5_growing`); nothing but events can be added
+            then, and they are not compressed, as a compressed chunk is written anew with every addition.
 
     Raises:
         FormatError: the file cannot be made, or what is given to a method breaks the format.
     """
 
-    def __init__(self, path: Path, *, camera: Camera) -> None:
+    def __init__(self, path: Path, *, camera: Camera, growing: bool = False) -> None:
         self._path, self._camera = Path(path), camera
+        self._growing = growing
         self._partial = self._path.with_name(f".{self._path.name}.{os.getpid()}-{threading.get_ident()}.part")
+        if growing:
+            self._partial = growing_path(self._path)
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = h5py.File(self._partial, "w")
+            self._file = h5py.File(self._partial, "w", libver="latest" if growing else None)
         except OSError as error:
             hint = "choose a folder that can be written"
             raise FormatError(f"cannot be written ({error})", path=self._path, hint=hint) from error
@@ -60,11 +65,14 @@ class RecordingWriter:
             group.attrs.update(fx=camera.fx, fy=camera.fy, cx=camera.cx, cy=camera.cy)
             group.attrs["distortion"] = np.array(camera.distortion, np.float64)
         self._events = self._file.create_group("events")
-        self._columns = {name: _growing(self._events, name, kind) for name, kind in _COLUMNS}
-        self._index = _growing(self._events, "ms_to_idx", np.int64)
+        packed = {} if growing else _COMPRESSION
+        self._columns = {name: _extended(self._events, name, kind, packed) for name, kind in _COLUMNS}
+        self._index = None if growing else _extended(self._events, "ms_to_idx", np.int64, packed)
         self._count, self._first_us, self._last_us, self._next_ms = 0, 0, 0, 0
         self._frame_t: list[int] = []
         self._frames: h5py.Dataset | None = None
+        if growing:
+            self._file.swmr_mode = True
 
     def append(self, events: Events) -> None:
         """Add events that follow those already written.
@@ -87,9 +95,13 @@ class RecordingWriter:
         self._last_us = int(events.t_us[-1])
         self._append_index(events.t_us)
         self._count = end
+        if self._growing:
+            self._file.flush()
 
     def _append_index(self, t_us: NDArray[np.int64]) -> None:
         """Write the index of every millisecond that these events reach, in blocks (a gap may be hours long)."""
+        if self._index is None:
+            return
         end_ms = (self._last_us - self._first_us) // 1000 + 1
         if end_ms > _MAX_INDEX_MS:
             if "ms_to_idx" in self._events:
@@ -184,8 +196,13 @@ class RecordingWriter:
             self.discard()
 
 
-def _growing(group: h5py.Group, name: str, kind: type) -> h5py.Dataset:
-    return group.create_dataset(name, (0,), kind, maxshape=(None,), chunks=(_CHUNK,), **_COMPRESSION)
+def growing_path(path: Path) -> Path:
+    """Return where a recording that others may read lies until it is whole."""
+    return path.with_name(f".{path.name}.growing.part")
+
+
+def _extended(group: h5py.Group, name: str, kind: type, packed: dict[str, Any]) -> h5py.Dataset:
+    return group.create_dataset(name, (0,), kind, maxshape=(None,), chunks=(_CHUNK,), **packed)
 
 
 def _replace(group: h5py.Group, name: str, values: NDArray) -> None:

@@ -16,6 +16,7 @@ from typing import Any
 from dvsviz.errors import DvsvizError, SessionError
 from dvsviz.events.filters import FilterConfig
 from dvsviz.events.recording import Recording
+from dvsviz.formats.hdf5_growing import GrowingEvents, open_growing
 from dvsviz.formats.open import open_recording
 from dvsviz.gateway.entries import origin_of, read_entry, rounded, state_of, waiting_entry
 from dvsviz.gateway.runs import Runs
@@ -250,17 +251,23 @@ class Library:
         return ShownSession(session, recording, missing, name=name)
 
     def look_for_recording(self, shown: ShownSession) -> bool:
-        """Return whether the recording of a stream is there by now, once a second; its file is whole at the end."""
+        """Return whether the recording of a stream is another one now, once a second: it grows, then it is whole."""
         header = shown.session.header
-        if shown.recording is not None or not header.is_stream:
+        before = shown.recording
+        if not header.is_stream or (before is not None and not isinstance(before.events, GrowingEvents)):
             return False
         if time.monotonic() - self._looked_s.get(shown.name, 0.0) < _LOOK_EVERY_S:
             return False
         self._looked_s[shown.name] = time.monotonic()
-        recording, shown.missing = self._recording_of(shown.session)
-        if recording is not None:
-            shown.set_recording(recording)
-        return recording is not None
+        if before is not None and shown.session.is_live:
+            return False
+        recording, why = self._recording_of(shown.session)
+        if recording is None:
+            # What could be read while it was written can be read on.
+            shown.missing = why if before is None else ""
+            return False
+        shown.set_recording(recording)
+        return True
 
     def _recording_of(self, session: Session) -> tuple[Recording | None, str]:
         """Return a session's recording, or None and why."""
@@ -271,7 +278,8 @@ class Library:
         if header.is_stream and not stored.is_absolute():
             why = "the stream was not recorded (--record FILE): images need its events"
         elif header.is_stream and session.is_live:
-            return None, f"the stream is being recorded ({stored}): images come when it has ended"
+            growing = open_growing(stored, header.camera)
+            return growing, "" if growing else f"the stream is being recorded ({stored}): images come in the end"
         for path in dict.fromkeys([stored, *near]):
             if not path.exists() or path.resolve() == session.path.resolve():
                 continue

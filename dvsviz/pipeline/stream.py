@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from dvsviz.config import TrackerConfig
 from dvsviz.errors import DvsvizError
@@ -22,6 +22,9 @@ from dvsviz.pipeline.run import Progress, track
 from dvsviz.session.header import STREAM_FORMAT
 from dvsviz.tracking.warm_up import warm_up
 
+if TYPE_CHECKING:
+    from dvsviz.export.rerun_viewer import RerunViewer
+
 
 def track_stream(
     where: str,
@@ -35,6 +38,7 @@ def track_stream(
     record: Path | None = None,
     force: bool = False,
     progress: Callable[[Progress], None] | None = None,
+    rerun: RerunViewer | None = None,
 ) -> dict[str, Any]:
     """Track a stream until it ends or is stopped, both of which end the session well, and return the run's summary.
 
@@ -49,6 +53,7 @@ def track_stream(
         record: where every event that is received is recorded.
         force: replace a session that is there.
         progress: called after each window.
+        rerun: a viewer that the run is streamed to.
 
     Raises:
         LiveError: there is no such stream or camera.
@@ -69,7 +74,7 @@ def track_stream(
         recorder = None
         if record is not None:
             record.parent.mkdir(parents=True, exist_ok=True)
-            writer = stack.enter_context(RecordingWriter(record, camera=camera))
+            writer = stack.enter_context(RecordingWriter(record, camera=camera, growing=True))
             recorder = stack.enter_context(Recorder(writer.append))
         events = LiveEvents(
             lambda: unused.pop() if unused else connect(where),
@@ -90,4 +95,4 @@ def track_stream(
             events=events,
             warnings=(guessed,) if camera.is_guess else (),
         )
-        return track(recording, config, out, force=force, progress=progress)
+        return track(recording, config, out, force=force, progress=progress, rerun=rerun)

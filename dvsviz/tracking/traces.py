@@ -105,7 +105,8 @@ def correct(traces: Sequence[Trace], keyframe_poses: dict[int, Array]) -> list[T
         traces: in time order.
         keyframe_poses: refined poses (4, 4) by keyframe number.
     """
-    anchors = [t for t in traces if t.keyframe in keyframe_poses]
+    # Of windows at one time, as coarse clocks make them, the last one's correction holds.
+    anchors = list({t.mid_us: t for t in traces if t.keyframe in keyframe_poses}.values())
     if not anchors:
         return list(traces)
     C = np.stack([keyframe_poses[t.keyframe] @ se3.inverse(t.T_world_camera) for t in anchors])

@@ -15,6 +15,7 @@ from dvsviz.errors import DvsvizError
 from dvsviz.evaluate.evaluate import WindowErrors, window_errors
 from dvsviz.events.recording import Recording
 from dvsviz.events.windows import EventWindow, make_window
+from dvsviz.formats.hdf5_growing import GrowingEvents
 from dvsviz.geometry import se3
 from dvsviz.geometry.trajectory import Trajectory
 from dvsviz.session.records import MapRevision, WindowResult
@@ -190,7 +191,7 @@ class ShownSession:
 
     def events_of(self, result: WindowResult) -> EventWindow | None:
         """Return a window's events, or None where the recording is gone."""
-        if self.recording is None:
+        if self.recording is None or not self._is_written(result.end_event):
             return None
         with self._lock:
             if self._window is not None and self._window.index == result.window:
@@ -206,6 +207,11 @@ class ShownSession:
                 end_us=result.end_us,
             )
             return self._window
+
+    def _is_written(self, end_event: int) -> bool:
+        """Wait a moment, unlocked, for the events of a stream that are still on their way to its recording."""
+        events = None if self.recording is None else self.recording.events
+        return not isinstance(events, GrowingEvents) or events.wait(end_event)
 
     def map_now(self) -> int:
         """Return the number of the newest map revision, the one that belongs with the refined poses; -1 without."""
@@ -230,6 +236,7 @@ class ShownSession:
         if count == 1 and not ms:
             events = self.events_of(first)
             return () if events is None else (events,)
+        self._is_written(int(self.session.column("end_event")[min(window + count, self.window_count) - 1]))
         with self._lock:
             if self._several is not None and self._several[0] == (window, count, ms):
                 return self._several[1]
