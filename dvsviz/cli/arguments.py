@@ -283,6 +283,10 @@ class Serve:
     motion: Annotated[Motion | None, *option("{planar,translation,rotation}", _motion, "planar")] = None
     """How the live stream is tracked."""
     calibration: Calibration = None
+    rerun: Flag = False
+    """Stream what is tracked to the rerun viewer that is open on this machine (`rerun`)."""
+    rerun_port: Annotated[int, arg(metavar="PORT")] = 9876
+    """Where that viewer listens."""
 
     def run(self) -> int:
         """Serve until stopped."""

@@ -19,6 +19,10 @@ def serve(command: Serve) -> int:
     from dvsviz.gateway.app import serve as run
 
     sessions_dir = sessions_folder(command.sessions)
+    if command.rerun:
+        from dvsviz.export.rerun_viewer import RerunViewer
+
+        RerunViewer(port=command.rerun_port).look()
     run(
         command.paths,
         sessions_dir=sessions_dir,
@@ -27,6 +31,7 @@ def serve(command: Serve) -> int:
         open_browser=not command.no_browser,
         recordings=command.recordings,
         live=_live(command, sessions_dir),
+        rerun_port=command.rerun_port if command.rerun else None,
         ready=lambda address: print(address, flush=True),
     )
     return 0

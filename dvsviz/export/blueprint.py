@@ -9,7 +9,11 @@ _EVERYTHING = rrb.TimeRangeBoundary.infinite()
 
 
 def blueprint(
-    *, has_truth: bool, target: tuple[float, float, float] = (0.0, 0.0, 0.7), reach: float = 1.1
+    *,
+    has_truth: bool,
+    target: tuple[float, float, float] = (0.0, 0.0, 0.7),
+    reach: float = 1.1,
+    live: bool = False,
 ) -> rrb.Blueprint:
     """Return the layout.
 
@@ -17,6 +21,7 @@ def blueprint(
         has_truth: whether there is an error to plot.
         target: point of the world (x, y, z) that the scene's eye looks at, plane distances.
         reach: from there to the farthest thing to be seen, plane distances.
+        live: the newest window is followed.
     """
     # From behind the camera's left shoulder: the frustum, the path and the map beside each other.
     eye = tuple(at + reach * away for at, away in zip(target, (-0.68, -0.48, -1.12), strict=True))
@@ -54,7 +59,7 @@ def blueprint(
         ),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline="window"),
+        rrb.TimePanel(state="collapsed", timeline="window", play_state="following" if live else None),
         auto_views=False,
         auto_layout=False,
     )

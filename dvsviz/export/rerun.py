@@ -18,6 +18,7 @@ from dvsviz.events.windows import EventWindow
 from dvsviz.export.blueprint import blueprint
 from dvsviz.export.entities import Entities, Moments
 from dvsviz.export.frames import event_window, grey_png, warped_png
+from dvsviz.export.rerun_viewer import RerunViewer, ViewerStream
 from dvsviz.export.rrd_file import RrdFile
 from dvsviz.geometry.plane import Plane, map_to_world
 from dvsviz.session.header import SessionHeader
@@ -152,23 +153,26 @@ def _pick(moments: Moments, index: NDArray[np.int64]) -> Moments:
 
 
 class RerunLogger:
-    """Writes a rerun recording while a run goes on: the entities of `export_rerun`, with poses as known at the time.
+    """Logs a run to rerun while it goes on: the entities of `export_rerun`, with poses as known at the time.
 
     Leaving the with-block by an exception deletes the unfinished file.
     """
 
-    def __init__(self, path: Path, header: SessionHeader) -> None:
-        """Begin a file.
+    def __init__(self, out: Path | RerunViewer, header: SessionHeader) -> None:
+        """Begin a recording.
 
         Args:
-            path: the .rrd file; it has its name when the logger is closed.
+            out: the .rrd file, which has its name when the logger is closed; or the viewer that shows it at once.
             header: what is run.
 
         Raises:
-            DvsvizError: the folder cannot be written.
+            DvsvizError: the folder cannot be written, or there is no viewer.
         """
         self._header = header
-        self._file = RrdFile(path, blueprint(has_truth=False), name=path.stem)
+        if isinstance(out, RerunViewer):
+            self._file = ViewerStream(out, blueprint(has_truth=False, live=True), name=header.recording_name)
+        else:
+            self._file = RrdFile(out, blueprint(has_truth=False), name=out.stem)
         self._entities = Entities(self._file.stream, header.camera)
         self._pending: list[tuple[WindowResult, bytes | None]] = []
         self._rows, self._frames = 0, 0

@@ -52,6 +52,7 @@ def serve(
     told: Callable[[Run], None] | None = None,
     recordings: Sequence[Path] = (),
     live: RunOrder | None = None,
+    rerun_port: int | None = None,
 ) -> None:
     """Show sessions in the browser until Ctrl-C; recordings among the paths are tracked live.
 
@@ -66,6 +67,7 @@ def serve(
         told: called with a run whenever it told how far it is, from another thread.
         recordings: folders whose recordings can be tracked from the page, besides those of the sessions' folder.
         live: a stream that is tracked.
+        rerun_port: where a rerun viewer of this machine listens that runs are streamed to.
 
     Raises:
         DvsvizError: the port is in use, or a path is neither recording nor session.
@@ -79,6 +81,7 @@ def serve(
         told=told,
         recordings=recordings,
         live=live,
+        rerun_port=rerun_port,
     )
     try:
         if ready is not None:
@@ -104,6 +107,7 @@ class Dashboard:
         told: called with a run whenever it told how far it is, from another thread.
         recordings: folders whose recordings can be tracked from the page, besides those of the sessions' folder.
         live: a stream that is tracked.
+        rerun_port: where a rerun viewer of this machine listens that runs are streamed to.
 
     Raises:
         DvsvizError: the port is in use, or a path is neither recording nor session.
@@ -120,6 +124,7 @@ class Dashboard:
         told: Callable[[Run], None] | None = None,
         recordings: Sequence[Path] = (),
         live: RunOrder | None = None,
+        rerun_port: int | None = None,
     ) -> None:
         self._socket = _listen(host, port)
         try:
@@ -139,7 +144,7 @@ class Dashboard:
         self._keys = Keys(bound)
         shown_host = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(host, f"[{host}]" if ":" in host else host)
         self.address = f"http://{shown_host}:{bound}/#token={self._keys.token}"
-        self.runs = Runs(self._run_changed, told)
+        self.runs = Runs(self._run_changed, told, rerun_port)
         self._library = Library(sessions_dir, self.runs)
         self._tabs = Tabs(self._library, ImageCache(_CACHE_BYTES))
         self._exports = Exports()

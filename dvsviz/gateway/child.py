@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 import signal
 import sys
@@ -17,8 +18,11 @@ from dvsviz.gateway.orders import Action, RunOrder, RunState, Stage
 
 if TYPE_CHECKING:
     from dvsviz.events.recording import Recording
+    from dvsviz.export.rerun_viewer import RerunViewer
     from dvsviz.live.figures import LiveFigures
     from dvsviz.pipeline import Progress
+
+_log = logging.getLogger(__name__)
 
 # The tracker gives way to seeks where a browser that draws in software takes the other core.
 _NICE = 5
@@ -98,6 +102,7 @@ class _Child:
             cancel=self.cancel,
             start_s=order.start_s,
             end_s=order.end_s,
+            rerun=self._viewer(),
         )
 
     def _track_stream(self, where: str) -> None:
@@ -135,7 +140,22 @@ class _Child:
             record=order.record,
             force=order.force,
             progress=progress,
+            rerun=self._viewer(),
         )
+
+    def _viewer(self) -> RerunViewer | None:
+        """Return the rerun viewer to stream to; one that was closed since the server began ends no run."""
+        if self._order.rerun_port is None:
+            return None
+        from dvsviz.export.rerun_viewer import RerunViewer
+
+        viewer = RerunViewer(port=self._order.rerun_port)
+        try:
+            viewer.look()
+        except DvsvizError as error:
+            _log.warning("%s is tracked without it: %s", self._order.name, error)
+            return None
+        return viewer
 
     def _recording(self) -> Recording:
         from dvsviz.formats.open import open_recording

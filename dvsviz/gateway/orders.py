@@ -57,6 +57,7 @@ class RunOrder:
         live: the stream to track instead of a recording, `aedat4+tcp://HOST:PORT` or `camera`.
         calibration: file with the calibration of a live stream's camera.
         record: where a live stream is recorded.
+        rerun_port: where a rerun viewer of this machine listens that the run is streamed to, or None.
         T_world_camera: of a branch: the pose (4, 4) to start that window from, or None.
     """
 
@@ -75,6 +76,7 @@ class RunOrder:
     live: str | None = None
     calibration: Path | None = None
     record: Path | None = None
+    rerun_port: int | None = None
     T_world_camera: NDArray[np.float64] | None = None
 
     @property

@@ -14,6 +14,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 
@@ -56,10 +57,16 @@ class Runs:
     Args:
         changed: called with a run whenever its state changed, from the manager's thread.
         told: called with a run whenever it told how far it is, from the manager's thread.
+        rerun_port: where a rerun viewer of this machine listens that every run is streamed to, or None.
     """
 
-    def __init__(self, changed: Callable[[Run], None], told: Callable[[Run], None] | None = None) -> None:
-        self._changed, self._told = changed, told
+    def __init__(
+        self,
+        changed: Callable[[Run], None],
+        told: Callable[[Run], None] | None = None,
+        rerun_port: int | None = None,
+    ) -> None:
+        self._changed, self._told, self._rerun_port = changed, told, rerun_port
         self._runs: dict[str, Run] = {}
         self._queue: deque[Run] = deque()
         self._condition = threading.Condition()
@@ -79,7 +86,7 @@ class Runs:
             old = self._runs.get(order.name)
             if old is not None and old.is_open:
                 raise DvsvizError(f"{order.name} is being tracked already", hint="cancel that run first")
-            run = self._runs[order.name] = Run(order)
+            run = self._runs[order.name] = Run(replace(order, rerun_port=self._rerun_port))
             self._queue.append(run)
             self._condition.notify_all()
         return run

@@ -29,6 +29,7 @@ from dvsviz.tracking.warm_up import warm_up
 
 if TYPE_CHECKING:
     from dvsviz.export.rerun import RerunLogger
+    from dvsviz.export.rerun_viewer import RerunViewer
 
 CHECKPOINT_US = 5_000_000
 """A checkpoint at each keyframe and at least this often in recording time."""
@@ -64,7 +65,7 @@ def track(
     resume: bool = False,
     progress: Callable[[Progress], None] | None = None,
     cancel: threading.Event | None = None,
-    rerun: Path | None = None,
+    rerun: Path | RerunViewer | None = None,
     start_s: float | None = None,
     end_s: float | None = None,
 ) -> dict[str, Any]:
@@ -78,7 +79,7 @@ def track(
         resume: continue an interrupted session from its last checkpoint; windows after it are tracked again.
         progress: called after each window, in the thread that tracks; it may wait (to pause) but not raise.
         cancel: when set, the run stops after the current window and leaves an incomplete session.
-        rerun: a rerun recording that is written besides.
+        rerun: a rerun recording that is written besides, or a viewer that the run is streamed to.
         start_s: where to begin, seconds from the first event; a resumed session keeps its own.
         end_s: where to end, seconds from the first event; a resumed session keeps its own.
 
@@ -193,7 +194,10 @@ class Run:
             raise
 
     def follow(
-        self, progress: Callable[[Progress], None] | None, cancel: threading.Event | None, rerun: Path | None
+        self,
+        progress: Callable[[Progress], None] | None,
+        cancel: threading.Event | None,
+        rerun: Path | RerunViewer | None,
     ) -> None:
         """Track to the recording's end; whatever ends it before leaves the session incomplete and readable."""
         logger = _rerun_logger(rerun, self._header)
@@ -313,13 +317,13 @@ def header_of(recording: Recording, config: TrackerConfig) -> SessionHeader:
     )
 
 
-def _rerun_logger(path: Path | None, header: SessionHeader) -> RerunLogger | None:
-    if path is None:
+def _rerun_logger(out: Path | RerunViewer | None, header: SessionHeader) -> RerunLogger | None:
+    if out is None:
         return None
     # Rerun takes half a second to import and most runs do without.
     from dvsviz.export.rerun import RerunLogger
 
-    return RerunLogger(path, header)
+    return RerunLogger(out, header)
 
 
 def _check_target(recording: Recording, out: Path, *, force: bool) -> None:
