@@ -15,7 +15,14 @@ from dvsviz.events.windows import EventWindow, windows
 from dvsviz.formats.open import open_recording
 from dvsviz.geometry import se3
 from dvsviz.geometry.camera import Camera
-from dvsviz.geometry.plane import Plane, homography_map_camera, map_to_world, rotation_to_map
+from dvsviz.geometry.plane import (
+    Plane,
+    homography_map_camera,
+    map_to_world,
+    rotation_to_map,
+    turn_normal,
+    turn_normal_derivative,
+)
 from dvsviz.geometry.trajectory import Trajectory
 from dvsviz.session.records import Failure, Status, WindowResult
 from dvsviz.simulate.simulate import simulate
@@ -23,7 +30,7 @@ from dvsviz.tracking import constants as c
 from dvsviz.tracking.align import align, free_parameters
 from dvsviz.tracking.diagnose import in_words, weakest
 from dvsviz.tracking.kernels import map_nodes
-from dvsviz.tracking.normal_equations import solve_positive
+from dvsviz.tracking.normal_equations import landmark_jacobians, solve_positive
 from dvsviz.tracking.planar_map import PlanarMap
 from dvsviz.tracking.refine import View, refine
 from dvsviz.tracking.relocalize import relocalize
@@ -227,6 +234,31 @@ def test_map_nodes_equal_the_reference_warp() -> None:
     projection = target @ (rotation_to_map(TILTED) / np.array([[1.0], [1.0], [1.1]]))
     map_nodes(T[:3, :3].copy(), T[:3, 3].copy(), omega, velocity, TILTED, 1.1, projection, -0.02, 0.05, nodes)
     assert np.abs(nodes - wanted.nodes).max() < 1e-11
+
+
+def test_landmark_jacobians_against_central_differences() -> None:
+    rng = np.random.default_rng(5)
+    T = se3.pose(se3.exp_so3([0.1, 0.2, -0.3]), [0.1, -0.2, 0.3])
+    plane, scale = Plane(normal=TILTED, distance=1.1), 200.0
+    bearings, angle = rng.uniform(-0.4, 0.4, (7, 2)), rng.uniform(0, np.pi, 7)
+    normals = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    R_map_world = rotation_to_map(TILTED)
+
+    def along(x: np.ndarray) -> np.ndarray:
+        moved = T @ se3.pose(se3.exp_so3(x[:3]), np.zeros(3))
+        moved[:3, 3] = T[:3, 3] + T[:3, :3] @ x[3:6]
+        n = turn_normal(TILTED, x[6:])
+        y = np.column_stack([bearings, np.ones(7)]) @ moved[:3, :3].T
+        p = ((1.1 + moved[:3, 3] @ n) * y - np.outer(y @ n, moved[:3, 3])) @ R_map_world.T
+        return scale * 1.1 * (normals * p[:, :2]).sum(axis=1) / p[:, 2]
+
+    J = np.empty((7, 8))
+    landmark_jacobians(
+        bearings, T[:3, :3].copy(), T[:3, 3].copy(), TILTED, plane.distance, R_map_world, scale, normals,
+        turn_normal_derivative(TILTED, np.zeros(2)), J,
+    )  # fmt: skip
+    numeric = np.stack([(along(h) - along(-h)) / 2e-6 for h in 1e-6 * np.eye(8)], axis=-1)
+    assert np.abs(J - numeric).max() < 1e-5 * np.abs(numeric).max()
 
 
 def grid_points() -> np.ndarray:

@@ -67,7 +67,11 @@ OVERLAP_KEYFRAME: Final = 0.8
 OVERLAP_EDGE: Final = 0.3
 
 # --- refinement ---------------------------------------------------------------------------------------------
+# Rounds of the last refinement and of those of up to `REFINE_EARLY` keyframes, which start far off, and of the others.
+# The last one with 7 instead of 12: 1.0 instead of 0.46 % on tilt_45.
 REFINE_ROUNDS: Final = 12
+REFINE_EARLY: Final = 12
+REFINE_ROUNDS_LATER: Final = 8
 # Gate on an event's distance to its edge, map px, first and last round.
 REFINE_GATE_START_PX: Final = 5.0
 REFINE_GATE_END_PX: Final = 2.0
@@ -151,10 +155,18 @@ LOST_RATIO: Final = 0.45
 LOST_INSIDE: Final = 0.4
 # Condition of the pose's information above which a direction counts as not seen.
 WEAK_CONDITION: Final = 3e4
+# Level of the pyramid and pixels along the width at which the slopes in view are compared, and the smaller by the
+# larger of their two directions below which only stripes are seen: 0.02 to 0.06 on stripes, at least 0.48 on shapes
+# and posters.
+STRIPES_LEVEL: Final = 1
+STRIPES_COLUMNS: Final = 120
+STRIPES_SHARE: Final = 0.08
 # Share by which the running score follows each good window.
 SCORE_GAIN: Final = 0.05
 # Edge pixels in view below which there is too little texture.
 TEXTURE_EDGE_PIXELS: Final = 150
+# The same where a direction is not seen: a few stripes are texture, but only in one direction.
+STRIPES_EDGE_PIXELS: Final = 50
 
 # --- translation before a relief ----------------------------------------------------------------------------
 # Direction of travel on slider_depth: 0.5 degrees off with one blur of 2 px, 3.5 with 2 and 1 px.
@@ -168,6 +180,8 @@ RELIEF_EVALUATIONS: Final = 14
 RELIEF_WINDOWS_MIN: Final = 8
 RELIEF_WINDOWS: Final = 14
 RELIEF_UNEVEN: Final = 0.08
+# The same where it is only told: in planar mode windows are smaller, and nothing is changed by it.
+RELIEF_UNEVEN_TOLD: Final = 0.055
 # A larger step from one window to the next is events drawn together, not depth.
 RELIEF_JUMP: Final = 0.04
 # Windows after which nothing is decided any more: too little motion.
@@ -183,6 +197,14 @@ RELIEF_GAIN: Final = 1.03
 FAILURE_EVENTS: Final = 300
 # Image displacement in one window, px, beyond the reach of the alignment's coarsest blur.
 FAILURE_FAST_PX: Final = 12.0
+# Difference (px in one window) between the motion that was predicted and the one that the window itself shows, beyond
+# which the search could not follow.
+FAILURE_JUMP_PX: Final = 6.0
+# A way back found so soon (s) and so near (rad, plane distances) was there all along: a local optimum.
+# Share of a failure's windows without texture or events from which that is its cause, whatever lost the map first.
+FAILURE_BLIND: Final = 0.5
+FAILURE_NEAR_S: Final = 0.25
+FAILURE_NEAR: Final = 0.15
 # Weak windows in a row that count as a failure; a lost one always does.
 FAILURE_WEAK_WINDOWS: Final = 3
 

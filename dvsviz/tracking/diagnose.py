@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvsviz.geometry.camera import Camera
-from dvsviz.geometry.plane import homography_map_camera
+from dvsviz.geometry.plane import homography_map_camera, rotation_to_map
 from dvsviz.tracking import constants as c
-from dvsviz.tracking.kernels import explained_share, footprint_mean
+from dvsviz.tracking.kernels import explained_share, footprint_mean, slope_tensor
 from dvsviz.tracking.measure import WindowImages
 from dvsviz.tracking.planar_map import PlanarMap
 
@@ -54,6 +54,7 @@ class Judgement:
         condition: condition number of the pose.
         weak_direction: (6,).
         note: a sentence, or "".
+        is_trusted: True where the window may write to the map.
     """
 
     score: float
@@ -61,6 +62,7 @@ class Judgement:
     condition: float
     weak_direction: Array
     note: str
+    is_trusted: bool = False
 
     @classmethod
     def unknown(cls) -> Judgement:
@@ -140,6 +142,32 @@ def weakest(information: Array, free: NDArray[np.bool_]) -> tuple[float, Array]:
     direction[index] = vectors[:, 0]
     condition = float(values[-1] / max(values[0], 1e-9 * max(values[-1], 1e-9)))
     return condition, direction
+
+
+def stripes(planar_map: PlanarMap, T_world_camera: Array, camera: Camera) -> tuple[float, Array]:
+    """Return how two-dimensional the edges in view are, and the direction that they do not show.
+
+    The information of a pose counts every slope, and noise slopes in all directions: along stripes it claims to see.
+    The slopes of the blurred map do not.
+
+    Args:
+        planar_map: the map.
+        T_world_camera: pose (4, 4).
+        camera: what is in view.
+
+    Returns:
+        Smaller by larger eigenvalue of the slopes' tensor (0: stripes, 1: evenly in all directions), and the unit
+        direction (6,): motion along the edges with the rotation that looks like it.
+    """
+    H = planar_map.projection @ homography_map_camera(T_world_camera, planar_map.plane)
+    level = planar_map.pyramid()[c.STRIPES_LEVEL]
+    xx, xy, yy = slope_tensor(level, H, camera.matrix, camera.width, camera.height, c.STRIPES_COLUMNS)
+    values, vectors = np.linalg.eigh(np.array([[xx, xy], [xy, yy]]))
+    along_map = np.array([*vectors[:, 0], 0.0])
+    along = T_world_camera[:3, :3].T @ rotation_to_map(planar_map.plane.normal).T @ along_map
+    x, y = along[:2] / max(float(np.linalg.norm(along[:2])), 1e-9)
+    share = float(values[0] / values[1]) if values[1] > 0 else 1.0
+    return share, np.array([-y, x, 0.0, x, y, 0.0]) / np.sqrt(2.0)
 
 
 def in_words(direction: Array) -> str:

@@ -41,11 +41,14 @@ def judge(
     if gain is not None:
         sharp = gain > c.RELIEF_GAIN
         motion.status = Status.TRACKING if sharp else Status.WEAK
-        return replace(diagnose.Judgement.unknown(), confidence=0.5 if sharp else 0.1)
+        return replace(diagnose.Judgement.unknown(), is_trusted=True, confidence=0.5 if sharp else 0.1)
     if alignment is None:
         return diagnose.Judgement.unknown()
     agreed = diagnose.agreement(mapper.live_map, alignment.value, trace.T_world_camera, mapper.camera)
     condition, weak = diagnose.weakest(alignment.information, free)
+    share, unseen = diagnose.stripes(mapper.live_map, trace.T_world_camera, mapper.camera)
+    if share < c.STRIPES_SHARE and free[3:5].any():
+        condition, weak = max(condition, c.WEAK_CONDITION * c.STRIPES_SHARE / max(share, 1e-3)), unseen
     good = motion.good_score if motion.good_score > 0 else agreed.score
     ratio = agreed.score / max(good, 1e-3)
     judged = diagnose.Judgement(
@@ -72,6 +75,13 @@ def judge(
             motion.status = Status.WEAK
         else:
             motion.status = Status.TRACKING
+    # What lies on the map may write to it, though a direction is not seen: stripes go on where the map ends.
+    if (
+        motion.status is not Status.LOST
+        and not bad
+        and (ratio >= c.WEAK_RATIO or motion.status is Status.INITIALIZING)
+    ):
+        judged = replace(judged, is_trusted=True)
     if motion.status in (Status.TRACKING, Status.INITIALIZING):
         motion.good_score += c.SCORE_GAIN * (agreed.score - motion.good_score)
     return judged

@@ -188,3 +188,37 @@ def mean_displacement(first, last, K, width, height):
             dy -= (last[1, 0] * x + last[1, 1] * y + last[1, 2]) / bz
             total += np.sqrt(dx * dx + dy * dy)
     return total / 20.0
+
+
+@numba.njit(cache=True, nogil=True)
+def slope_tensor(edge, H, K, width, height, columns):
+    """Return the sums (xx, xy, yy) of the squared slopes of an edge image over what a camera sees of it.
+
+    Args:
+        edge: blurred edge image (rows, columns).
+        H: homography (3, 3) from bearings to cells.
+        K: calibration (3, 3).
+        width: of the sensor.
+        height: of the sensor.
+        columns: pixels sampled along the width.
+    """
+    rows, cols = edge.shape
+    lines = max(2, int(columns * height / width + 0.5))
+    xx, xy, yy = 0.0, 0.0, 0.0
+    for i in range(lines):
+        y = ((height - 1) * i / (lines - 1) - K[1, 2]) / K[1, 1]
+        for j in range(columns):
+            x = ((width - 1) * j / (columns - 1) - K[0, 2]) / K[0, 0]
+            pz = H[2, 0] * x + H[2, 1] * y + H[2, 2]
+            if pz <= 1e-9:
+                continue
+            c = int((H[0, 0] * x + H[0, 1] * y + H[0, 2]) / pz + 0.5)
+            r = int((H[1, 0] * x + H[1, 1] * y + H[1, 2]) / pz + 0.5)
+            if c < 1 or r < 1 or c >= cols - 1 or r >= rows - 1:
+                continue
+            gx = 0.5 * (edge[r, c + 1] - edge[r, c - 1])
+            gy = 0.5 * (edge[r + 1, c] - edge[r - 1, c])
+            xx += gx * gx
+            xy += gx * gy
+            yy += gy * gy
+    return xx, xy, yy

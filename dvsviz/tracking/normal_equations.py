@@ -7,6 +7,60 @@ import numpy as np
 
 
 @numba.njit(cache=True, nogil=True)
+def landmark_jacobians(bearings, R, t, n, d, R_map_world, scale, normals, d_normal, out):
+    """Write d(normal . cell) / d(rotation, position, plane normal) (M, 8) of bearings (M, 2) seen from one pose.
+
+    The cell of bearing b is `scale q / q_2` with q = R_map_world (d_c R b - t (n . R b)) and its last entry by d. The
+    map frame is held while the plane's normal moves: both are rendered anew in the next round.
+
+    Args:
+        bearings: (M, 2).
+        R: rotation (3, 3), world from camera.
+        t: position (3,).
+        n: the plane's normal (3,), world.
+        d: its distance.
+        R_map_world: rotation (3, 3).
+        scale: cells per unit.
+        normals: of the landmarks' edges in the map (M, 2).
+        d_normal: derivative (3, 2) of the plane's normal by its two parameters.
+        out: (M, 8).
+    """
+    d_c = d + t[0] * n[0] + t[1] * n[1] + t[2] * n[2]
+    n_c, by_0, by_1 = n @ R, d_normal[:, 0].copy(), d_normal[:, 1].copy()
+    t_0 = t[0] * by_0[0] + t[1] * by_0[1] + t[2] * by_0[2]
+    t_1 = t[0] * by_1[0] + t[1] * by_1[1] + t[2] * by_1[2]
+    m, y, x = np.empty(3), np.empty(3), np.empty(3)
+    for i in range(bearings.shape[0]):
+        x[0], x[1], x[2] = bearings[i, 0], bearings[i, 1], 1.0
+        for k in range(3):
+            y[k] = R[k, 0] * x[0] + R[k, 1] * x[1] + R[k, 2]
+        ny = n[0] * y[0] + n[1] * y[1] + n[2] * y[2]
+        p0, p1, p2 = d_c * y[0] - t[0] * ny, d_c * y[1] - t[1] * ny, d_c * y[2] - t[2] * ny
+        q0 = R_map_world[0, 0] * p0 + R_map_world[0, 1] * p1 + R_map_world[0, 2] * p2
+        q1 = R_map_world[1, 0] * p0 + R_map_world[1, 1] * p1 + R_map_world[1, 2] * p2
+        q2 = (R_map_world[2, 0] * p0 + R_map_world[2, 1] * p1 + R_map_world[2, 2] * p2) / d
+        w = scale / q2
+        a0, a1 = normals[i, 0] * w, normals[i, 1] * w
+        a2 = -(normals[i, 0] * q0 + normals[i, 1] * q1) * w / q2 / d
+        for k in range(3):
+            m[k] = R_map_world[0, k] * a0 + R_map_world[1, k] * a1 + R_map_world[2, k] * a2
+        my = m[0] * y[0] + m[1] * y[1] + m[2] * y[2]
+        mt = m[0] * t[0] + m[1] * t[1] + m[2] * t[2]
+        # By the rotation: dy = R (phi x b); s = R^T (d_c m - (m . t) n).
+        s0 = d_c * (R[0, 0] * m[0] + R[1, 0] * m[1] + R[2, 0] * m[2]) - mt * n_c[0]
+        s1 = d_c * (R[0, 1] * m[0] + R[1, 1] * m[1] + R[2, 1] * m[2]) - mt * n_c[1]
+        s2 = d_c * (R[0, 2] * m[0] + R[1, 2] * m[1] + R[2, 2] * m[2]) - mt * n_c[2]
+        out[i, 0] = x[1] * s2 - x[2] * s1
+        out[i, 1] = x[2] * s0 - x[0] * s2
+        out[i, 2] = x[0] * s1 - x[1] * s0
+        for k in range(3):
+            mr = m[0] * R[0, k] + m[1] * R[1, k] + m[2] * R[2, k]
+            out[i, 3 + k] = n_c[k] * my - mr * ny
+        out[i, 6] = t_0 * my - mt * (by_0[0] * y[0] + by_0[1] * y[1] + by_0[2] * y[2])
+        out[i, 7] = t_1 * my - mt * (by_1[0] * y[0] + by_1[1] * y[1] + by_1[2] * y[2])
+
+
+@numba.njit(cache=True, nogil=True)
 def reduce_normal_equations(view, landmark, weight, residual, J, A, g):
     """Add the reduced normal equations: observations sorted by landmark, its offset eliminated."""
     n = view.shape[0]

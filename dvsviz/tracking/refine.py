@@ -18,7 +18,7 @@ from dvsviz.geometry import se3
 from dvsviz.geometry.plane import Plane, rotation_to_map, tangent_basis, turn_normal, turn_normal_derivative
 from dvsviz.tracking import constants as c
 from dvsviz.tracking.edges import associate, bounds, find_ridges
-from dvsviz.tracking.normal_equations import reduce_normal_equations, solve_positive
+from dvsviz.tracking.normal_equations import landmark_jacobians, reduce_normal_equations, solve_positive
 
 Array = NDArray[np.float64]
 
@@ -184,7 +184,19 @@ def _round(
             continue
         count = sums[seen, 0]
         mean = sums[seen, 1:] / count[:, None]
-        J = _jacobian(mean[:, 1:], Ts[k], plane, R_map_world, scale, ridges.normal[seen], d_normal)
+        J = np.empty((len(seen), 8))
+        landmark_jacobians(
+            np.ascontiguousarray(mean[:, 1:]),
+            np.ascontiguousarray(Ts[k, :3, :3]),
+            np.ascontiguousarray(Ts[k, :3, 3]),
+            plane.normal,
+            plane.distance,
+            R_map_world,
+            scale,
+            ridges.normal[seen],
+            d_normal,
+            J,
+        )
         J[:, :6][:, ~free] = 0.0
         weight = np.minimum(count, c.REFINE_MAX_EVENTS)
         # Huber on the mean residual of a landmark in a view.
@@ -240,34 +252,3 @@ def _offset(start: tuple[Array, Plane], Ts: Array, plane: Plane) -> Array:
     shift = np.einsum("kji,kj->ki", R, Ts[:, :3, 3] - start[0][:, :3, 3])
     tilt = tangent_basis(plane.normal).T @ (plane.normal - start[1].normal)
     return np.concatenate([np.concatenate([se3.log_so3(R_start_now), shift], axis=1).ravel(), tilt])
-
-
-def _jacobian(
-    mean_bearings: Array, T: Array, plane: Plane, R_map_world: Array, scale: float, normal: Array, d_normal: Array
-) -> Array:
-    """Return d(normal · cells) / d(rotation, position, plane normal) (M, 8) at bearings (M, 2)."""
-    R, t, n, d = T[:3, :3], T[:3, 3], plane.normal, plane.distance
-    third = np.array([[1.0], [1.0], [d]])
-    H = _homography(T, plane, R_map_world)
-    x = np.column_stack([mean_bearings, np.ones(len(mean_bearings))])
-    q = x @ H.T
-    w = scale / q[:, 2]
-    # d(cells · normal) = a · d(H x)
-    a = np.column_stack(
-        [
-            normal[:, 0] * w,
-            normal[:, 1] * w,
-            -(normal[:, 0] * q[:, 0] + normal[:, 1] * q[:, 1]) * w / q[:, 2],
-        ]
-    )
-    J = np.empty((len(x), 8))
-    n_c = n @ R
-    for i in range(3):
-        J[:, i] = np.einsum("ma,ab,mb->m", a, H @ se3.hat(np.eye(3)[i]), x)
-        dt = R[:, i]
-        J[:, 3 + i] = np.einsum("ma,ab,mb->m", a, R_map_world @ ((dt @ n) * R - np.outer(dt, n_c)) / third, x)
-    for i in range(2):
-        # The map frame is held while the normal moves: both are re-rendered in the next round.
-        dn = d_normal[:, i]
-        J[:, 6 + i] = np.einsum("ma,ab,mb->m", a, R_map_world @ ((t @ dn) * R - np.outer(t, dn @ R)) / third, x)
-    return J

@@ -73,7 +73,14 @@ class Refiner:
             pick = np.unique(np.linspace(0, len(anchors) - 1, c.REFINE_MAX_VIEWS).round().astype(int))
             anchors = [anchors[i] for i in pick]
         views = [View(bearings=t.deskewed(plane), T_world_camera=t.T_world_camera) for t in anchors]
-        result = refine(views, plane, self.camera.focal_px, free=self.free, solve_normal=self.solve_normal)
+        result = refine(
+            views,
+            plane,
+            self.camera.focal_px,
+            free=self.free,
+            solve_normal=self.solve_normal,
+            rounds=c.REFINE_ROUNDS if passes > 1 or len(views) <= c.REFINE_EARLY else c.REFINE_ROUNDS_LATER,
+        )
         text = (
             f"refinement of {len(views)} keyframes: disagreement {result.before_px:.3f} to {result.after_px:.3f} px, "
             f"{'accepted' if result.accepted else 'refused'}"

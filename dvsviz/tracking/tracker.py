@@ -71,7 +71,8 @@ class Tracker:
         self.stretch = 1.0
         self._failures = FailureWatch()
         # A camera that only turns sees no depth.
-        self._relief = ReliefOdometry(self.camera) if self.config.motion != "rotation" else None
+        uneven = c.RELIEF_UNEVEN_TOLD if self.config.motion == "planar" else c.RELIEF_UNEVEN
+        self._relief = ReliefOdometry(self.camera, uneven) if self.config.motion != "rotation" else None
 
     @property
     def window_size(self) -> int:
@@ -126,8 +127,10 @@ class Tracker:
         )
         if failed is not None:
             self._mapper.tell(failed)
+        if note and self._motion.status is Status.LOST and self._failures.is_unexplained:
+            self._failures.look_closer(trace, self._contrast(window), self.camera.focal_px)
         keyframe = -1
-        if self._motion.status in (Status.INITIALIZING, Status.TRACKING):
+        if judged.is_trusted or (alignment is None and self._motion.status is Status.INITIALIZING):
             keyframe = self._mapper.add(trace, images.warped, overlap)
         elif self._motion.status is Status.WEAK:
             self._mapper.remember(trace)
@@ -346,6 +349,8 @@ class Tracker:
             self._motion.status = Status.RELOCALIZING if near else Status.LOST
             return trace, None, ""
         alignment = self._align(sampled, mid_s, found.T_world_camera, self._motion.omega, self._motion.velocity)
+        since_s = (mid_us - self._motion.t_us) * 1e-6
+        self._failures.found_again(self._motion.T_world_camera, alignment.T_world_camera, since_s)
         self._motion.status = Status.TRACKING
         self._motion.bad_windows = 0
         self._motion.t_us = mid_us

@@ -24,6 +24,10 @@ Array = NDArray[np.float64]
 class ReliefOdometry:
     """Velocity and relief from window to window.
 
+    Args:
+        camera: gives the grid of depths.
+        uneven: relative deviation of the relief from a plane from which the scene is none.
+
     Attributes:
         velocity: last velocity (3,), camera frame, mean distances per second.
         relief: last log inverse depth (rows, columns).
@@ -37,8 +41,9 @@ class ReliefOdometry:
         gain: contrast of the last window by its contrast without motion.
     """
 
-    def __init__(self, camera: Camera) -> None:
+    def __init__(self, camera: Camera, uneven: float = c.RELIEF_UNEVEN) -> None:
         self.camera = camera
+        self.uneven = uneven
         self.velocity: Array = np.zeros(3)
         self.relief: Array = np.zeros(grid_shape(camera))
         self.windows = 0
@@ -148,7 +153,7 @@ class ReliefOdometry:
             if found < self.unevenness + c.RELIEF_JUMP:
                 self.unevenness = max(self.unevenness, found)
         # A relief grows out of a plane over some windows; a plane never becomes one.
-        if self.not_a_plane is None and self.seen >= c.RELIEF_WINDOWS_MIN and self.unevenness > c.RELIEF_UNEVEN:
+        if self.not_a_plane is None and self.seen >= c.RELIEF_WINDOWS_MIN and self.unevenness > self.uneven:
             self.not_a_plane = True
         elif self.not_a_plane is None and self.seen >= c.RELIEF_WINDOWS:
             self.not_a_plane = False
