@@ -33,7 +33,7 @@ export class Exports {
 
   #sayStretch() {
     const { start, end } = this.#stretch();
-    setText(byId("export-stretch"), `.webm: window, map and scene, ${clockTime(start)} to ${clockTime(end)}${this.state.loop ? " (the loop)" : " as the timeline shows"}`);
+    setText(byId("export-stretch"), `.webm: ${clockTime(start)} to ${clockTime(end)}, ${this.state.loop ? "the loop" : "as the timeline shows"}`);
   }
 
   async start(to) {

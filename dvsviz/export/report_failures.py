@@ -52,9 +52,8 @@ def failures_html(
     pictured = set(longest)
     parts = [f"<section><h2>Failures ({len(failures)})</h2>"]
     if shown.recording is None:
-        parts.append(
-            f'<p class="warning">{escape(shown.missing or "The recording is not there: no pictures.")}</p>'
-        )
+        # Why it is missing names a folder of this machine, which is nobody else's business.
+        parts.append('<p class="warning">Without pictures: the recording was not there when this was written.</p>')
     if len(failures) > len(pictured):
         parts.append(f'<p class="dim">The {len(pictured)} longest are pictured.</p>')
     parts.append(_table(failures, plotted["t_s"], end_s))
