@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 from accuracy_real import real_rows
+from reliability import reliability
 
 from dvsviz.config import TrackerConfig
 from dvsviz.evaluate.evaluate import evaluate, window_errors
@@ -265,10 +266,12 @@ def main() -> None:
             print(table(rows).splitlines()[-1], file=sys.stderr, flush=True)
     heading = f"Suite version {SUITE_VERSION}, {date.today()}; measured (wanted).\n\n"
     print(heading + table(rows))
-    if arguments.markdown:
-        arguments.markdown.write_text(heading + table(rows), encoding="utf-8")
     if arguments.json:
         arguments.json.write_text(json.dumps([asdict(r) for r in rows], indent=1, default=str), encoding="utf-8")
+    curve = "\nError of the poses known at the time, by confidence.\n\n" + reliability(folder / "sessions")
+    print(curve)
+    if arguments.markdown:
+        arguments.markdown.write_text(heading + table(rows) + curve, encoding="utf-8")
     missed = [r.name for r in rows if not r.is_reached]
     print(f"reached {len(rows) - len(missed)} of {len(rows)}" + (f"; not: {', '.join(missed)}" if missed else ""))
 
