@@ -44,7 +44,7 @@ export class Exports {
     byId("export-list").prepend(row);
     const { start, end } = this.#stretch();
     try {
-      const id = await startExport(session, to === "webm" ? { to, start_s: start, end_s: end } : { to });
+      const id = await startExport(session, ["webm", "rrd"].includes(to) ? { to, start_s: start, end_s: end } : { to });
       const stop = make("button", { class: "plain", "aria-label": `Stop ${NAMES[to]} of ${session}`, on: { click: () => stopExport(id).catch((error) => this.#failed(this.#rows.get(id), error.message)) } }, "stop");
       row.append(stop);
       this.#rows.set(id, { row, bar, text, stop, to, saved: false });

@@ -89,3 +89,18 @@ def test_without_a_viewer_it_is_said_what_to_do(tmp_path: Path, capsys: pytest.C
     assert f"no rerun viewer listens at 127.0.0.1:{port}" in said
     assert f"`rerun --port {port}`" in said
     assert said.count("\n") == 1
+
+
+def test_the_stretch_that_was_looked_at_is_marked_in_the_file(tmp_path: Path) -> None:
+    recording = samples.make_recording(tmp_path / "r.h5", WINDOWS)
+    session = samples.make_session(tmp_path / "s.h5", recording, WINDOWS)
+    argv = ["export", str(session), "--to", str(tmp_path / "s.rrd"), "--start", "0.03", "--end", "0.06"]
+    assert main(argv) == 0
+    told = subprocess.run(
+        [Path(sys.executable).with_name("rerun"), "rrd", "print", "-vvv", tmp_path / "s.rrd"],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
+    ).stdout
+    assert "{min: 3, max: 5}" in told[told.index("TimePanelBlueprint:time_selection") :]

@@ -28,9 +28,9 @@ class Export:
     to: Annotated[Path, arg(metavar="FILE", aliases=("--video",))]
     """The file to write."""
     start: Annotated[float | None, *option("SECONDS", read_number(float), "the first window")] = None
-    """Of a video: where it begins, seconds after the first event."""
+    """Where a video begins, or the stretch that rerun marks: seconds after the first event."""
     end: Annotated[float | None, *option("SECONDS", read_number(float), "the last window")] = None
-    """Of a video: where it ends, seconds after the first event, exclusive."""
+    """Where it ends, seconds after the first event, exclusive."""
     speed: float = 1.0
     """Of a video: recording seconds a second."""
     poses: Poses = "refined"

@@ -29,8 +29,10 @@ def export(command: Export) -> int:
             hint="name x.rrd, x.tum, x.csv, x.parquet, x.png, x.webm, x.mp4 or x.html",
         )
     kind = kinds[ending]
-    if not kind.is_video and (command.start, command.end, command.speed) != (None, None, 1.0):
-        raise DvsvizError(f"--start, --end and --speed are for videos, not {ending}", path=command.to)
+    if not kind.is_video and command.speed != 1.0:
+        raise DvsvizError(f"--speed is for videos, not {ending}", path=command.to)
+    if not kind.has_part and (command.start, command.end) != (None, None):
+        raise DvsvizError(f"--start and --end are for videos and rerun recordings, not {ending}", path=command.to)
     _check_free(command.to, force=command.force)
     with _shown(command.session, "written", needs_recording=kind.shows_events) as shown:
         if kind is Kind.TUM:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import rerun.blueprint as rrb
+from rerun.blueprint.components import AbsoluteTimeRange
 from rerun.blueprint.encodings import TextLogColumn, TextLogColumnKind
 
 _EVERYTHING = rrb.TimeRangeBoundary.infinite()
@@ -14,6 +15,7 @@ def blueprint(
     target: tuple[float, float, float] = (0.0, 0.0, 0.7),
     reach: float = 1.1,
     live: bool = False,
+    windows: tuple[int, int] | None = None,
 ) -> rrb.Blueprint:
     """Return the layout.
 
@@ -22,6 +24,7 @@ def blueprint(
         target: point of the world (x, y, z) that the scene's eye looks at, plane distances.
         reach: from there to the farthest thing to be seen, plane distances.
         live: the newest window is followed.
+        windows: first and last window that are marked on the time line.
     """
     # From behind the camera's left shoulder: the frustum, the path and the map beside each other.
     eye = tuple(at + reach * away for at, away in zip(target, (-0.68, -0.48, -1.12), strict=True))
@@ -59,7 +62,12 @@ def blueprint(
         ),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline="window", play_state="following" if live else None),
+        rrb.TimePanel(
+            state="collapsed" if windows is None else "expanded",
+            timeline="window",
+            play_state="following" if live else None,
+            time_selection=None if windows is None else AbsoluteTimeRange(min=windows[0], max=windows[1]),
+        ),
         auto_views=False,
         auto_layout=False,
     )

@@ -37,6 +37,7 @@ def export_rerun(
     out: Path,
     recording: Recording | None = None,
     progress: Callable[[float], None] | None = None,
+    windows: tuple[int, int] | None = None,
 ) -> None:
     """Write a session as a rerun recording, with refined poses.
 
@@ -45,6 +46,7 @@ def export_rerun(
         out: the .rrd file; replaced where it exists.
         recording: gives the events of the images; without it the images stored with the keyframes are used.
         progress: called with the share that is done, 0 to 1.
+        windows: first and last window that the viewer marks; rerun has no way to open at one.
 
     Raises:
         SessionError: the session has no windows.
@@ -64,7 +66,7 @@ def export_rerun(
     if errors.truth_world is not None:
         plots["error"] = errors.position_percent
     target, reach = _scene(session, Ts)
-    layout = blueprint(has_truth="error" in plots, target=target, reach=reach)
+    layout = blueprint(has_truth="error" in plots, target=target, reach=reach, windows=windows)
     file = RrdFile(out, layout, name=session.name)
     try:
         entities = Entities(file.stream, session.header.camera)

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
+import numpy as np
+
 from dvsviz.view.shown import ShownSession
 
 
@@ -30,8 +32,13 @@ class Kind(StrEnum):
 
     @property
     def is_video(self) -> bool:
-        """True where a part of the time can be chosen."""
+        """True where frames are played."""
         return self in (Kind.WEBM, Kind.MP4)
+
+    @property
+    def has_part(self) -> bool:
+        """True where a part of the time can be chosen."""
+        return self.is_video or self is Kind.RRD
 
     @property
     def shows_events(self) -> bool:
@@ -41,7 +48,7 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Part:
-    """Which part of a session's time a video shows.
+    """Which part of a session's time a video shows and a rerun recording marks.
 
     Attributes:
         start_s: seconds after the first event; None for the first window.
@@ -52,6 +59,17 @@ class Part:
     start_s: float | None = None
     end_s: float | None = None
     speed: float = 1.0
+
+    def windows(self, shown: ShownSession) -> tuple[int, int] | None:
+        """Return the first and the last window of the part, or None where it is the whole or nothing."""
+        t_s = (shown.session.column("start_us") - shown.session.header.first_us) * 1e-6
+        inside = np.flatnonzero(
+            (t_s >= (-np.inf if self.start_s is None else self.start_s))
+            & (t_s < (np.inf if self.end_s is None else self.end_s))
+        )
+        if len(inside) in (0, len(t_s)):
+            return None
+        return int(inside[0]), int(inside[-1])
 
 
 def write(
@@ -67,7 +85,7 @@ def write(
         shown: the session.
         kind: what is written.
         out: the file.
-        part: of a video, which part of the time.
+        part: of a video or a rerun recording, which part of the time.
         progress: called with the share that is done, 0 to 1; what it raises ends the writing, and nothing is left.
 
     Raises:
@@ -78,7 +96,8 @@ def write(
         case Kind.RRD:
             from dvsviz.export.rerun import export_rerun
 
-            export_rerun(shown.session, out, recording=shown.recording, progress=progress)
+            windows = None if part is None else part.windows(shown)
+            export_rerun(shown.session, out, recording=shown.recording, progress=progress, windows=windows)
         case Kind.TUM:
             from dvsviz.export.tum import export_tum
 
