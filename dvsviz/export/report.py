@@ -274,7 +274,7 @@ def _notes(shown: ShownSession, t_s: np.ndarray) -> str:
 
 
 def _count(number: int) -> str:
-    for size, word in ((1e9, "billion"), (1e6, "million")):
+    for size, word in ((1e9, "G"), (1e6, "M")):
         if number >= size:
             return f"{number / size:.3g} {word}"
     return f"{number:,d}"
