@@ -165,7 +165,9 @@ class Mapper:
         """
         if self.job is None and self._due():
             count = len(self.keyframes)
-            self.begin_refinement(len(self.traces), trace.window + max(0, count - c.REFINE_AT_ONCE))
+            self.begin_refinement(
+                len(self.traces), trace.window + c.REFINE_WINDOWS * max(0, count - c.REFINE_AT_ONCE)
+            )
             self.tried_at = count
         if self.job is None or trace.window < self.job.land_at:
             return trace

@@ -92,10 +92,10 @@ class Refiner:
         elif not first:
             return Revised(traces=tuple(traces), plane=plane, planar_map=None, text=text, accepted=False)
         planar_map = self.build(kept, plane)
-        for _ in range(passes):
-            kept = self.put_back(planar_map, kept)
-        if passes > 1:
+        kept = self.put_back(planar_map, kept)
+        for _ in range(1, passes):
             planar_map = self.build(kept, plane)
+            kept = self.put_back(planar_map, kept, first_level=2)
         return Revised(traces=tuple(kept), plane=plane, planar_map=planar_map, text=text, accepted=result.accepted)
 
     def settle(self, traces: Sequence[Trace], plane: Plane) -> Revised:
@@ -150,7 +150,9 @@ class Refiner:
                 add_to_map(planar_map, moved, sensor, self.camera.matrix)
         return with_poses(later, poses)
 
-    def _aligned(self, planar_map: PlanarMap, trace: Trace, *, anchored: float = 0.0) -> Array:
+    def _aligned(
+        self, planar_map: PlanarMap, trace: Trace, *, anchored: float = 0.0, first_level: int = 1
+    ) -> Array:
         step = max(1, len(trace.bearings) // c.ALIGN_EVENTS)
         return align(
             planar_map,
@@ -161,12 +163,19 @@ class Refiner:
             trace.velocity,
             focal_px=self.camera.focal_px,
             free=self.free,
-            first_level=1,
+            first_level=first_level,
             anchored=anchored,
         ).T_world_camera
 
-    def put_back(self, planar_map: PlanarMap, traces: Sequence[Trace], *, anchored: float = 0.0) -> list[Trace]:
+    def put_back(
+        self, planar_map: PlanarMap, traces: Sequence[Trace], *, anchored: float = 0.0, first_level: int = 1
+    ) -> list[Trace]:
         """Return the traces aligned with a map, on both cores."""
         planar_map.pyramid()
         with ThreadPoolExecutor(c.CORES) as pool:
-            return with_poses(traces, list(pool.map(partial(self._aligned, planar_map, anchored=anchored), traces)))
+            return with_poses(
+                traces,
+                list(
+                    pool.map(partial(self._aligned, planar_map, anchored=anchored, first_level=first_level), traces)
+                ),
+            )

@@ -159,7 +159,7 @@ def add_to_map(planar_map: PlanarMap, trace: Trace, sensor: tuple[int, int], K: 
     few = few[np.isfinite(few[:, 0])]
     if len(few) == 0:
         return
-    planar_map.cover(few.min(axis=0), few.max(axis=0))
+    planar_map.cover(*np.percentile(few, (0.5, 99.5), axis=0))
     cells = ((uv - planar_map.origin) * planar_map.px_per_unit).astype(np.float32)
     projection = planar_map.projection
     planar_map.add(
