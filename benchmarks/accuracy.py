@@ -99,7 +99,7 @@ def back_from_the_void(look: Look) -> tuple[str, bool]:
     start_us = int(look.session.column("start_us")[0])
     s_truth = (look.truth.t_us - start_us) * 1e-6
     # The wall is empty between 0.65 and 2.35 m; the camera sees 0.6 m to its left.
-    empty = look.truth.positions[:, 0] - look.truth.positions[0, 0] > 1.25
+    empty = look.truth.positions[:, 0] > 1.25
     gone_s, back_s = float(s_truth[empty][0]), float(s_truth[empty][-1])
     outside = between(look, (look.s < gone_s) | (look.s > back_s + 0.3))
     right = look.known & (look.s > back_s) & (look.percent < _RIGHT_PERCENT)
