@@ -109,7 +109,10 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
         (["track", "r.h5", "--colour", "red"], "--colour"),
         (["track"], "RECORDING"),
         (["track", "r.h5", "--size", "240"], "expected WIDTHxHEIGHT such as 240x180, got 240"),
-        (["track", "r.h5", "--motion", "planer"], "expected one of planar, translation, rotation, auto, got planer"),
+        (
+            ["track", "r.h5", "--motion", "planer"],
+            "expected one of planar, translation, rotation, auto, got planer",
+        ),
         (["track", "r.h5", "--window", "many"], "expected a whole number, got many"),
         (["evaluate", "r.h5", "--align", "affine"], "sim3"),
         (["serve", "--port", "http"], "--port"),
