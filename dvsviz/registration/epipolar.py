@@ -37,7 +37,8 @@ def refine_essential(T_b_a: Array, matched: MatchedPoints, huber_px: float) -> A
             J[:, k] = (ahead - behind) / (2 * _DIFFERENCE)
         weight = np.minimum(1.0, huber_px / np.maximum(np.abs(r), 1e-12))
         normal, gradient = (J * weight[:, None]).T @ J, (J * weight[:, None]).T @ r
-        step = -np.linalg.solve(normal + damping * np.diag(np.diag(normal) + 1e-12), gradient)
+        solved = np.linalg.solve(normal + damping * np.diag(np.diag(normal) + 1e-12), gradient)
+        step = np.asarray(-solved, dtype=np.float64)
         moved = _moved(T_b_a, step)
         r_new = sampson_px(moved, a, b, f)
         new = _cost(r_new, huber_px)

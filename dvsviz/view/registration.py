@@ -95,7 +95,7 @@ def _depth(record: RegistrationRecord, window: int) -> Picture | None:
     share = np.clip((depth / 1000 - _NEAR_M) / (_FAR_M - _NEAR_M), 0, 1)
     pixels = np.where(depth > 0, 1 + (254 * (1 - share)).astype(np.uint8), 0).astype(np.uint8)
     colours = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_TURBO)[:, 0, ::-1]
-    palette = np.array(colours)
+    palette = np.array(colours, dtype=np.uint8)
     palette[0] = 0
     return Picture(pixels=pixels, palette=palette)
 
