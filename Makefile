@@ -4,13 +4,18 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: run test accuracy nightly install browser lint clean
+.PHONY: run test kernels accuracy nightly install browser lint clean
 
 run: $(STAMP)
 	$(BIN)/python app.py
 
-test: $(STAMP) browser lint
+test: $(STAMP) browser lint kernels
 	$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+# Compiles the tracker's kernels once: tests with servers in other processes would each wait for them.
+kernels: $(STAMP)
+	$(BIN)/python -c "from dvsviz.config import TrackerConfig; from dvsviz.tracking.warm_up import warm_up; \
+	  [warm_up(TrackerConfig(motion=motion)) for motion in ('planar', 'rotation', 'translation')]"
 
 # Makes the suite, tracks it and prints measured beside wanted: a quarter of an hour on two cores.
 accuracy: $(STAMP)
