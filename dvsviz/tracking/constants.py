@@ -99,8 +99,8 @@ REFINE_AT: Final = (5, 8, 12, 18, 27, 40, 60, 90, 130, 190, 280, 400, 600, 900)
 # plane's tilt, turning and moving sideways look alike, and a refinement only wanders.
 REFINE_SPREAD: Final = 0.2
 # A refinement is merged so many windows after it began for each keyframe beyond these: it runs beside the tracker, and
-# always lands at the same window.
-REFINE_WINDOWS: Final = 3
+# always lands at the same window. With 3 it waits less and explore is lost at the map's edge, with 1 it is not.
+REFINE_WINDOWS: Final = 1
 REFINE_AT_ONCE: Final = 8
 # Times that all windows are put back on their common map where there was too little motion to refine, and the standard
 # deviation (rad, plane distances) of the pull to the first pose meanwhile.
