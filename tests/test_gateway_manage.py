@@ -98,7 +98,7 @@ def test_only_recordings_of_the_folders_are_offered(page: Page, recordings: Path
     assert {r["file"] for r in offer["recordings"]} == {"wall.h5", "deep", "recordings.h5"}
     assert str(recordings.parent) not in json.dumps(offer)
     fields = {field["name"]: field for field in offer["config"]}
-    assert fields["motion"]["choices"] == ["planar", "translation", "rotation"]
+    assert fields["motion"]["choices"] == ["planar", "translation", "rotation", "auto"]
     assert fields["window"]["kind"] == "whole" and fields["window"]["optional"]
     for number in ("0" * 16, "wall.h5", "..%2f..%2fetc%2fpasswd", str(recordings / "wall.h5")):
         assert page.client.get(f"/api/recordings/{number}").status_code == 404

@@ -203,7 +203,7 @@ FAILURE_FAST_PX: Final = 12.0
 FAILURE_JUMP_PX: Final = 6.0
 # A way back found so soon (s) and so near (rad, plane distances) was there all along: a local optimum.
 # Share of a failure's windows without texture or events from which that is its cause, whatever lost the map first.
-FAILURE_BLIND: Final = 0.5
+FAILURE_BLIND: Final = 0.3
 FAILURE_NEAR_S: Final = 0.25
 FAILURE_NEAR: Final = 0.15
 # Weak windows in a row that count as a failure; a lost one always does.

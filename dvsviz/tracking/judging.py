@@ -76,11 +76,8 @@ def judge(
         else:
             motion.status = Status.TRACKING
     # What lies on the map may write to it, though a direction is not seen: stripes go on where the map ends.
-    if (
-        motion.status is not Status.LOST
-        and not bad
-        and (ratio >= c.WEAK_RATIO or motion.status is Status.INITIALIZING)
-    ):
+    is_good = not bad and ratio >= c.WEAK_RATIO and motion.status is not Status.LOST
+    if is_good or motion.status is Status.INITIALIZING:
         judged = replace(judged, is_trusted=True)
     if motion.status in (Status.TRACKING, Status.INITIALIZING):
         motion.good_score += c.SCORE_GAIN * (agreed.score - motion.good_score)
