@@ -202,8 +202,9 @@ FAILURE_FAST_PX: Final = 12.0
 # which the search could not follow.
 FAILURE_JUMP_PX: Final = 6.0
 # A way back found so soon (s) and so near (rad, plane distances) was there all along: a local optimum.
-# Share of a failure's windows without texture or events from which that is its cause, whatever lost the map first.
-FAILURE_BLIND: Final = 0.3
+# Windows without texture or events in a failure from which that is its cause, whatever lost the map first: nothing was
+# to be seen for a fifth of a second (two windows that time closed).
+FAILURE_BLIND_WINDOWS: Final = 2
 FAILURE_NEAR_S: Final = 0.25
 FAILURE_NEAR: Final = 0.15
 # Weak windows in a row that count as a failure; a lost one always does.

@@ -135,7 +135,7 @@ class FailureWatch:
 
     def _end(self, window: int) -> Failure | None:
         start, lost, worst, cause = self._start, self._was_lost, self._worst, self._cause
-        if start is not None and len(self._blind) >= c.FAILURE_BLIND * (window - start):
+        if start is not None and len(self._blind) >= c.FAILURE_BLIND_WINDOWS:
             cause = self._blind[len(self._blind) // 2]
         self._blind = []
         self._start, self._was_lost, self._worst = None, False, (float("inf"), -1)
