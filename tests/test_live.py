@@ -20,7 +20,6 @@ from dvsviz.live.server import EventServer, LiveError, replay
 from dvsviz.live.source import LiveEvents
 from dvsviz.live.windows import MAX_LAG_US, SLOW_LAG_US, LiveWindows
 
-pytest.importorskip("dv_processing", reason="dv-processing has no wheel for this machine")
 W, H = 96, 64
 
 

@@ -15,8 +15,6 @@ from dvsviz.cli import main
 from dvsviz.formats.open import open_recording
 from dvsviz.simulate.simulate import simulate
 
-pytest.importorskip("dv_processing", reason="dv-processing has no wheel for this machine")
-
 
 def test_a_replay_is_tracked_and_recorded_whole(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     wall, out, record = tmp_path / "wall.h5", tmp_path / "live.h5", tmp_path / "record.h5"

@@ -19,7 +19,6 @@ from dvsviz.formats.open import open_recording
 from dvsviz.session.store import open_session
 from dvsviz.simulate.simulate import simulate
 
-pytest.importorskip("dv_processing", reason="dv-processing has no wheel for this machine")
 pytestmark = pytest.mark.browser
 
 
