@@ -18,6 +18,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+# Depth (third coordinate) below which a point counts as behind the target.
+_NEAREST = 1e-6
 _JIT = {"cache": True, "nogil": True, "fastmath": {"contract", "arcp", "nsz", "reassoc"}}
 
 
@@ -33,24 +35,61 @@ def _node(t, scale, count):
     return k, s - k
 
 
+@numba.njit(inline="always", **_JIT)
+def project(H, x, y):
+    """Return where a homography (3, 3) puts the bearing (x, y, 1); NaN where that is behind the target."""
+    z = H[2, 0] * x + H[2, 1] * y + H[2, 2]
+    if z <= _NEAREST:
+        return np.nan, np.nan
+    return (H[0, 0] * x + H[0, 1] * y + H[0, 2]) / z, (H[1, 0] * x + H[1, 1] * y + H[1, 2]) / z
+
+
+@numba.njit(inline="always", **_JIT)
+def warp_one(nodes, scale, t, x, y):
+    """Return where the homographies (M, 3, 3) put the bearing (x, y, 1) at time t since the first; NaN behind."""
+    k, f = _node(t, scale, nodes.shape[0])
+    a, b = nodes[k], nodes[k + 1]
+    g = 1.0 - f
+    z = (g * a[2, 0] + f * b[2, 0]) * x + (g * a[2, 1] + f * b[2, 1]) * y + g * a[2, 2] + f * b[2, 2]
+    if z <= _NEAREST:
+        return np.nan, np.nan
+    u = (g * a[0, 0] + f * b[0, 0]) * x + (g * a[0, 1] + f * b[0, 1]) * y + g * a[0, 2] + f * b[0, 2]
+    v = (g * a[1, 0] + f * b[1, 0]) * x + (g * a[1, 1] + f * b[1, 1]) * y + g * a[1, 2] + f * b[1, 2]
+    return u / z, v / z
+
+
+@numba.njit(inline="always", **_JIT)
+def is_inside(u, v, rows, cols):
+    """Return whether a point has four pixels around it; NaN has none."""
+    return u >= 0.0 and v >= 0.0 and u < cols - 1 and v < rows - 1
+
+
+@numba.njit(inline="always", **_JIT)
+def bilinear(image, u, v):
+    """Return the value of an image (rows, columns) at a point inside."""
+    c, r = int(u), int(v)
+    fx, fy = u - c, v - r
+    return (1 - fy) * ((1 - fx) * image[r, c] + fx * image[r, c + 1]) + fy * (
+        (1 - fx) * image[r + 1, c] + fx * image[r + 1, c + 1]
+    )
+
+
+@numba.njit(inline="always", **_JIT)
+def splat(image, u, v, weight):
+    """Add a weight to the four pixels of an image (rows, columns) around a point inside, bilinearly."""
+    c, r = int(u), int(v)
+    fx, fy = u - c, v - r
+    image[r, c] += weight * (1 - fx) * (1 - fy)
+    image[r, c + 1] += weight * fx * (1 - fy)
+    image[r + 1, c] += weight * (1 - fx) * fy
+    image[r + 1, c + 1] += weight * fx * fy
+
+
 @numba.njit(**_JIT)
 def warp_events(bearings, t_s, nodes, scale, out):
     """Write the warped positions (N, 2) of bearings (N, 2); NaN where the point is behind the target."""
-    m = nodes.shape[0]
     for i in range(bearings.shape[0]):
-        x, y = bearings[i, 0], bearings[i, 1]
-        k, f = _node(t_s[i], scale, m)
-        a, b = nodes[k], nodes[k + 1]
-        g = 1.0 - f
-        px = (g * a[0, 0] + f * b[0, 0]) * x + (g * a[0, 1] + f * b[0, 1]) * y + g * a[0, 2] + f * b[0, 2]
-        py = (g * a[1, 0] + f * b[1, 0]) * x + (g * a[1, 1] + f * b[1, 1]) * y + g * a[1, 2] + f * b[1, 2]
-        pz = (g * a[2, 0] + f * b[2, 0]) * x + (g * a[2, 1] + f * b[2, 1]) * y + g * a[2, 2] + f * b[2, 2]
-        if pz > 1e-6:
-            out[i, 0] = px / pz
-            out[i, 1] = py / pz
-        else:
-            out[i, 0] = np.nan
-            out[i, 1] = np.nan
+        out[i, 0], out[i, 1] = warp_one(nodes, scale, t_s[i], bearings[i, 0], bearings[i, 1])
 
 
 @numba.njit(**_JIT)
@@ -66,15 +105,8 @@ def vote(points, weights, image):
     one = weights.shape[0] == 1
     for i in range(points.shape[0]):
         x, y = points[i, 0], points[i, 1]
-        if not (x >= 0.0 and y >= 0.0 and x < cols - 1 and y < rows - 1):
-            continue
-        w = weights[0] if one else weights[i]
-        c, r = int(x), int(y)
-        fx, fy = x - c, y - r
-        image[r, c] += w * (1 - fx) * (1 - fy)
-        image[r, c + 1] += w * fx * (1 - fy)
-        image[r + 1, c] += w * (1 - fx) * fy
-        image[r + 1, c + 1] += w * fx * fy
+        if is_inside(x, y, rows, cols):
+            splat(image, x, y, weights[0] if one else weights[i])
 
 
 @numba.njit(**_JIT)
@@ -242,14 +274,7 @@ def sample(points, image, outside):
     out = np.empty(points.shape[0], dtype=np.float32)
     for i in range(points.shape[0]):
         u, v = points[i, 0], points[i, 1]
-        if not (u >= 0.0 and v >= 0.0 and u < cols - 1 and v < rows - 1):
-            out[i] = outside
-            continue
-        c, r = int(u), int(v)
-        fx, fy = u - c, v - r
-        out[i] = (1 - fy) * ((1 - fx) * image[r, c] + fx * image[r, c + 1]) + fy * (
-            (1 - fx) * image[r + 1, c] + fx * image[r + 1, c + 1]
-        )
+        out[i] = bilinear(image, u, v) if is_inside(u, v, rows, cols) else outside
     return out
 
 
@@ -272,30 +297,14 @@ def contrasts(bearings, t_s, weights, nodes, scale, image, smooth, sloped, out):
         out: (C,), written.
     """
     rows, cols = image.shape
-    m = nodes.shape[1]
     one = weights.shape[0] == 1
     line = np.empty(cols, dtype=np.float32)
     for w in range(nodes.shape[0]):
         image[:] = 0.0
         for i in range(bearings.shape[0]):
-            x, y = bearings[i, 0], bearings[i, 1]
-            k, f = _node(t_s[i], scale, m)
-            a, b = nodes[w, k], nodes[w, k + 1]
-            g = 1.0 - f
-            pz = (g * a[2, 0] + f * b[2, 0]) * x + (g * a[2, 1] + f * b[2, 1]) * y + g * a[2, 2] + f * b[2, 2]
-            if pz <= 1e-6:
-                continue
-            u = ((g * a[0, 0] + f * b[0, 0]) * x + (g * a[0, 1] + f * b[0, 1]) * y + g * a[0, 2] + f * b[0, 2]) / pz
-            v = ((g * a[1, 0] + f * b[1, 0]) * x + (g * a[1, 1] + f * b[1, 1]) * y + g * a[1, 2] + f * b[1, 2]) / pz
-            if not (u >= 0.0 and v >= 0.0 and u < cols - 1 and v < rows - 1):
-                continue
-            s = weights[0] if one else weights[i]
-            c, r = int(u), int(v)
-            fx, fy = u - c, v - r
-            image[r, c] += s * (1 - fx) * (1 - fy)
-            image[r, c + 1] += s * fx * (1 - fy)
-            image[r + 1, c] += s * (1 - fx) * fy
-            image[r + 1, c + 1] += s * fx * fy
+            u, v = warp_one(nodes[w], scale, t_s[i], bearings[i, 0], bearings[i, 1])
+            if is_inside(u, v, rows, cols):
+                splat(image, u, v, weights[0] if one else weights[i])
         for r in range(rows):
             up, down = max(r - 1, 0), min(r + 1, rows - 1)
             for c in range(cols):
@@ -334,27 +343,14 @@ def means_on(bearings, t_s, nodes, scale, image, out, inside):
         inside: shares (C,), written.
     """
     rows, cols = image.shape
-    m, n = nodes.shape[1], bearings.shape[0]
+    n = bearings.shape[0]
     for w in range(nodes.shape[0]):
         total, count = 0.0, 0
         for i in range(n):
-            x, y = bearings[i, 0], bearings[i, 1]
-            k, f = _node(t_s[i], scale, m)
-            a, b = nodes[w, k], nodes[w, k + 1]
-            g = 1.0 - f
-            pz = (g * a[2, 0] + f * b[2, 0]) * x + (g * a[2, 1] + f * b[2, 1]) * y + g * a[2, 2] + f * b[2, 2]
-            if pz <= 1e-6:
-                continue
-            u = ((g * a[0, 0] + f * b[0, 0]) * x + (g * a[0, 1] + f * b[0, 1]) * y + g * a[0, 2] + f * b[0, 2]) / pz
-            v = ((g * a[1, 0] + f * b[1, 0]) * x + (g * a[1, 1] + f * b[1, 1]) * y + g * a[1, 2] + f * b[1, 2]) / pz
-            if not (u >= 0.0 and v >= 0.0 and u < cols - 1 and v < rows - 1):
-                continue
-            c, r = int(u), int(v)
-            fx, fy = u - c, v - r
-            total += (1 - fy) * ((1 - fx) * image[r, c] + fx * image[r, c + 1]) + fy * (
-                (1 - fx) * image[r + 1, c] + fx * image[r + 1, c + 1]
-            )
-            count += 1
+            u, v = warp_one(nodes[w], scale, t_s[i], bearings[i, 0], bearings[i, 1])
+            if is_inside(u, v, rows, cols):
+                total += bilinear(image, u, v)
+                count += 1
         out[w] = total / count if count > 0 else 0.0
         inside[w] = count / n if n > 0 else 0.0
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from dvsviz.contrast.kernels import bilinear, is_inside, project, splat, warp_one
+
 
 @numba.njit(cache=True, nogil=True)
 def exp_rotation(v):
@@ -60,40 +62,15 @@ def vote_window(bearings, t_s, sign, nodes, scale, K, warped, signed, raw):
         raw: the polarities where the events were, without motion.
     """
     rows, cols = warped.shape
-    m = nodes.shape[0]
     for i in range(bearings.shape[0]):
-        x, y, w = bearings[i, 0], bearings[i, 1], sign[i]
+        x, y = bearings[i, 0], bearings[i, 1]
         u, v = K[0, 0] * x + K[0, 2], K[1, 1] * y + K[1, 2]
-        if u >= 0.0 and v >= 0.0 and u < cols - 1 and v < rows - 1:
-            c, r = int(u), int(v)
-            fx, fy = u - c, v - r
-            raw[r, c] += w * (1 - fx) * (1 - fy)
-            raw[r, c + 1] += w * fx * (1 - fy)
-            raw[r + 1, c] += w * (1 - fx) * fy
-            raw[r + 1, c + 1] += w * fx * fy
-        s = t_s[i] * scale
-        k = min(max(int(s), 0), m - 2)
-        f = s - k
-        g = 1.0 - f
-        a, b = nodes[k], nodes[k + 1]
-        pz = (g * a[2, 0] + f * b[2, 0]) * x + (g * a[2, 1] + f * b[2, 1]) * y + g * a[2, 2] + f * b[2, 2]
-        if pz <= 1e-6:
-            continue
-        u = ((g * a[0, 0] + f * b[0, 0]) * x + (g * a[0, 1] + f * b[0, 1]) * y + g * a[0, 2] + f * b[0, 2]) / pz
-        v = ((g * a[1, 0] + f * b[1, 0]) * x + (g * a[1, 1] + f * b[1, 1]) * y + g * a[1, 2] + f * b[1, 2]) / pz
-        if not (u >= 0.0 and v >= 0.0 and u < cols - 1 and v < rows - 1):
-            continue
-        c, r = int(u), int(v)
-        fx, fy = u - c, v - r
-        w00, w01, w10, w11 = (1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy
-        warped[r, c] += w00
-        warped[r, c + 1] += w01
-        warped[r + 1, c] += w10
-        warped[r + 1, c + 1] += w11
-        signed[r, c] += w * w00
-        signed[r, c + 1] += w * w01
-        signed[r + 1, c] += w * w10
-        signed[r + 1, c + 1] += w * w11
+        if is_inside(u, v, rows, cols):
+            splat(raw, u, v, sign[i])
+        u, v = warp_one(nodes, scale, t_s[i], x, y)
+        if is_inside(u, v, rows, cols):
+            splat(warped, u, v, 1.0)
+            splat(signed, u, v, sign[i])
 
 
 @numba.njit(cache=True, nogil=True)
@@ -117,20 +94,10 @@ def footprint_mean(edge, exposure, block, H, K, width, height, columns):
         y = ((height - 1) * i / (lines - 1) - K[1, 2]) / K[1, 1]
         for j in range(columns):
             x = ((width - 1) * j / (columns - 1) - K[0, 2]) / K[0, 0]
-            pz = H[2, 0] * x + H[2, 1] * y + H[2, 2]
-            if pz <= 1e-9:
+            u, v = project(H, x, y)
+            if not is_inside(u, v, rows, cols) or exposure[int(v) // block, int(u) // block] <= 0.0:
                 continue
-            u = (H[0, 0] * x + H[0, 1] * y + H[0, 2]) / pz
-            v = (H[1, 0] * x + H[1, 1] * y + H[1, 2]) / pz
-            if not (u >= 0.0 and v >= 0.0 and u < cols - 1 and v < rows - 1):
-                continue
-            c, r = int(u), int(v)
-            if exposure[r // block, c // block] <= 0.0:
-                continue
-            fx, fy = u - c, v - r
-            total += (1 - fy) * ((1 - fx) * edge[r, c] + fx * edge[r, c + 1]) + fy * (
-                (1 - fx) * edge[r + 1, c] + fx * edge[r + 1, c + 1]
-            )
+            total += bilinear(edge, u, v)
             seen += 1
     return (total / seen if seen > 0 else 0.0), seen / (lines * columns)
 
@@ -154,40 +121,30 @@ def explained_share(image, level, edge, H, K, threshold):
             if not image[r, c] > level:
                 continue
             count += 1
-            x, y = (c - K[0, 2]) / K[0, 0], (r - K[1, 2]) / K[1, 1]
-            pz = H[2, 0] * x + H[2, 1] * y + H[2, 2]
-            if pz <= 1e-9:
-                continue
-            u = (H[0, 0] * x + H[0, 1] * y + H[0, 2]) / pz
-            v = (H[1, 0] * x + H[1, 1] * y + H[1, 2]) / pz
-            if not (u >= 0.0 and v >= 0.0 and u < cols - 1 and v < rows - 1):
-                continue
-            q, p = int(u), int(v)
-            fx, fy = u - q, v - p
-            value = (1 - fy) * ((1 - fx) * edge[p, q] + fx * edge[p, q + 1]) + fy * (
-                (1 - fx) * edge[p + 1, q] + fx * edge[p + 1, q + 1]
-            )
-            if value > threshold:
+            u, v = project(H, (c - K[0, 2]) / K[0, 0], (r - K[1, 2]) / K[1, 1])
+            if is_inside(u, v, rows, cols) and bilinear(edge, u, v) > threshold:
                 explained += 1
     return (explained / count if count > 0 else 0.0), count
 
 
 @numba.njit(cache=True, nogil=True)
 def mean_displacement(first, last, K, width, height):
-    """Return the mean distance (px) over a grid of the sensor between where two homographies put a bearing."""
-    total = 0.0
+    """Return the mean distance (px) over a grid of the sensor between where two homographies put a bearing.
+
+    What is behind the target in one of them is left out.
+    """
+    total, count = 0.0, 0
     for i in range(4):
         y = ((height - 1) * i / 3.0 - K[1, 2]) / K[1, 1]
         for j in range(5):
             x = ((width - 1) * j / 4.0 - K[0, 2]) / K[0, 0]
-            az = first[2, 0] * x + first[2, 1] * y + first[2, 2]
-            bz = last[2, 0] * x + last[2, 1] * y + last[2, 2]
-            dx = (first[0, 0] * x + first[0, 1] * y + first[0, 2]) / az
-            dx -= (last[0, 0] * x + last[0, 1] * y + last[0, 2]) / bz
-            dy = (first[1, 0] * x + first[1, 1] * y + first[1, 2]) / az
-            dy -= (last[1, 0] * x + last[1, 1] * y + last[1, 2]) / bz
-            total += np.sqrt(dx * dx + dy * dy)
-    return total / 20.0
+            ax, ay = project(first, x, y)
+            bx, by = project(last, x, y)
+            moved = np.sqrt((ax - bx) ** 2 + (ay - by) ** 2)
+            if np.isfinite(moved):
+                total += moved
+                count += 1
+    return total / count if count > 0 else 0.0
 
 
 @numba.njit(cache=True, nogil=True)
@@ -209,13 +166,10 @@ def slope_tensor(edge, H, K, width, height, columns):
         y = ((height - 1) * i / (lines - 1) - K[1, 2]) / K[1, 1]
         for j in range(columns):
             x = ((width - 1) * j / (columns - 1) - K[0, 2]) / K[0, 0]
-            pz = H[2, 0] * x + H[2, 1] * y + H[2, 2]
-            if pz <= 1e-9:
+            u, v = project(H, x, y)
+            if not is_inside(u - 0.5, v - 0.5, rows - 1, cols - 1):
                 continue
-            c = int((H[0, 0] * x + H[0, 1] * y + H[0, 2]) / pz + 0.5)
-            r = int((H[1, 0] * x + H[1, 1] * y + H[1, 2]) / pz + 0.5)
-            if c < 1 or r < 1 or c >= cols - 1 or r >= rows - 1:
-                continue
+            c, r = int(u + 0.5), int(v + 0.5)
             gx = 0.5 * (edge[r, c + 1] - edge[r, c - 1])
             gy = 0.5 * (edge[r + 1, c] - edge[r - 1, c])
             xx += gx * gx

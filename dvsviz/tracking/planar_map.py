@@ -12,6 +12,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from dvsviz.contrast.kernels import is_inside, splat
 from dvsviz.geometry.plane import Plane
 from dvsviz.session.records import MapRevision
 from dvsviz.tracking import constants as c
@@ -198,16 +199,8 @@ def frozen_vote(points, votes, exposure, block, limit, weight):
     rows, cols = votes.shape
     for i in range(points.shape[0]):
         x, y = points[i, 0], points[i, 1]
-        if not (x >= 0.0 and y >= 0.0 and x < cols - 1 and y < rows - 1):
-            continue
-        q, r = int(x), int(y)
-        if exposure[r // block, q // block] > limit:
-            continue
-        fx, fy = x - q, y - r
-        votes[r, q] += weight * (1 - fx) * (1 - fy)
-        votes[r, q + 1] += weight * fx * (1 - fy)
-        votes[r + 1, q] += weight * (1 - fx) * fy
-        votes[r + 1, q + 1] += weight * fx * fy
+        if is_inside(x, y, rows, cols) and exposure[int(y) // block, int(x) // block] <= limit:
+            splat(votes, x, y, weight)
 
 
 @numba.njit(cache=True, nogil=True)
