@@ -3,39 +3,27 @@
 import { byId } from "./dom.js";
 
 const STEP = 24;
+const MOST = 0.6; // of the page
 
 /** Width of the images. */
 export function sideGrip() {
-  grip(byId("side-grip"), {
-    key: "dvsviz-side",
-    property: "--side",
-    dragging: "dragging",
-    keys: { ArrowLeft: STEP, ArrowRight: -STEP },
-    bound: (pixels) => Math.max(300, Math.min(innerWidth * 0.6, pixels)),
-    at: (event) => innerWidth - event.clientX,
-    now: (element) => element.parentElement.getBoundingClientRect().width,
-  });
+  grip("side", { property: "--side", dragging: "dragging", more: "ArrowLeft", less: "ArrowRight", least: 300, whole: () => innerWidth, pointer: "clientX", size: "width" });
 }
 
 /** Height of the timeline. */
 export function bottomGrip() {
-  grip(byId("bottom-grip"), {
-    key: "dvsviz-bottom",
-    property: "--bottom-kept",
-    dragging: "dragging-bottom",
-    keys: { ArrowUp: STEP, ArrowDown: -STEP },
-    bound: (pixels) => Math.max(150, Math.min(innerHeight * 0.6, pixels)),
-    at: (event) => innerHeight - event.clientY,
-    now: (element) => element.parentElement.getBoundingClientRect().height,
-  });
+  grip("bottom", { property: "--bottom-kept", dragging: "dragging-bottom", more: "ArrowUp", less: "ArrowDown", least: 150, whole: () => innerHeight, pointer: "clientY", size: "height" });
 }
 
-function grip(element, { key, property, dragging, keys, bound, at, now }) {
+function grip(name, { property, dragging, more, less, least, whole, pointer, size }) {
+  const element = byId(`${name}-grip`);
+  const key = `dvsviz-${name}`;
+  const keys = { [more]: STEP, [less]: -STEP };
   const set = (pixels) => {
-    const size = Math.round(bound(pixels));
-    document.documentElement.style.setProperty(property, `${size}px`);
-    element.setAttribute("aria-valuenow", String(size));
-    return size;
+    const bounded = Math.round(Math.max(least, Math.min(MOST * whole(), pixels)));
+    document.documentElement.style.setProperty(property, `${bounded}px`);
+    element.setAttribute("aria-valuenow", String(bounded));
+    return bounded;
   };
   const keep = (pixels) => localStorage.setItem(key, String(set(pixels)));
   element.addEventListener("pointerdown", (event) => {
@@ -43,7 +31,7 @@ function grip(element, { key, property, dragging, keys, bound, at, now }) {
     document.body.classList.add(dragging);
   });
   element.addEventListener("pointermove", (event) => {
-    if (element.hasPointerCapture(event.pointerId)) keep(at(event));
+    if (element.hasPointerCapture(event.pointerId)) keep(whole() - event[pointer]);
   });
   element.addEventListener("lostpointercapture", () => document.body.classList.remove(dragging));
   element.addEventListener("dblclick", () => {
@@ -54,7 +42,7 @@ function grip(element, { key, property, dragging, keys, bound, at, now }) {
     const move = keys[event.key];
     if (!move) return;
     event.preventDefault();
-    keep(now(element) + move);
+    keep(element.parentElement.getBoundingClientRect()[size] + move);
   });
   const kept = Number(localStorage.getItem(key));
   if (kept) set(kept);
