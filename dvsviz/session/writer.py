@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -102,28 +102,16 @@ class SessionWriter:
         """
         if has_writer(path):
             raise SessionError("is being written by another run", path=path, hint="stop that run first")
-        partial = partial_name(path)
-        try:
-            with open_file(path) as source:
-                found = read_committed(source, path)
-                if found.complete:
-                    raise SessionError(
-                        "is complete, there is nothing to resume", path=path, hint="run it again with --force"
-                    )
-                counts = cut(source, found, windows)
-                file = create_file(partial, copy_header(source), Commit())
-                copy_rows(source, file, counts)
-                poses = _current_poses(source, counts)
-            commit = Commit(sequence=1, counts=counts)
-            write_commit(file, commit)
-            lock = WriterLock(partial)
-            partial.replace(path)
-        except OSError as error:
-            partial.unlink(missing_ok=True)
-            raise _unwritable(path, error) from error
-        writer = cls(path, file, lock, commit)
-        writer._poses = poses
-        return writer
+
+        def begin(source: h5py.File) -> tuple[dict[str, int], Callable[[h5py.File], None]]:
+            found = read_committed(source, path)
+            if found.complete:
+                raise SessionError(
+                    "is complete, there is nothing to resume", path=path, hint="run it again with --force"
+                )
+            return cut(source, found, windows), copy_header(source)
+
+        return cls._continued(path, path, begin)
 
     @classmethod
     def branch(cls, source: Path, path: Path, header: SessionHeader, *, windows: int) -> Self:
@@ -142,15 +130,42 @@ class SessionWriter:
         """
         if path.exists():
             raise SessionError("already exists", path=path, hint="choose another name")
-        partial = partial_name(path)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            with open_file(source) as file_before:
-                counts = cut(file_before, read_committed(file_before, source), windows)
-                counts |= dict.fromkeys((schema.BOOKMARKS.name, schema.TAGS.name, schema.SUMMARIES.name), 0)
-                file = create_file(partial, lambda f: write_header(f, header), Commit())
-                copy_rows(file_before, file, counts)
-                poses = _current_poses(file_before, counts)
+        except OSError as error:
+            raise _unwritable(path, error) from error
+
+        def begin(before: h5py.File) -> tuple[dict[str, int], Callable[[h5py.File], None]]:
+            counts = cut(before, read_committed(before, source), windows)
+            counts |= dict.fromkeys((schema.BOOKMARKS.name, schema.TAGS.name, schema.SUMMARIES.name), 0)
+            return counts, lambda file: write_header(file, header)
+
+        return cls._continued(source, path, begin)
+
+    @classmethod
+    def _continued(
+        cls,
+        source: Path,
+        path: Path,
+        begin: Callable[[h5py.File], tuple[dict[str, int], Callable[[h5py.File], None]]],
+    ) -> Self:
+        """Return the writer of a file that begins with rows of another one.
+
+        Args:
+            source: the file that is copied from; it may be the one that is replaced.
+            path: the file that is written.
+            begin: given the source, returns how many rows of each table are copied, and what fills the head.
+
+        Raises:
+            SessionError: one of the two cannot be read or written.
+        """
+        partial = partial_name(path)
+        try:
+            with open_file(source) as before:
+                counts, fill = begin(before)
+                file = create_file(partial, fill, Commit())
+                copy_rows(before, file, counts)
+                poses = _current_poses(before, counts)
             commit = Commit(sequence=1, counts=counts)
             write_commit(file, commit)
             lock = WriterLock(partial)
