@@ -81,7 +81,10 @@ EXPLANATIONS: dict[Cause, Explanation] = {
             "From one window to the next the image moved farther than the search reaches, so that it started"
             " beside the right answer."
         ),
-        told_from="The estimated motion moves the image by more than 12 px in one window.",
+        told_from=(
+            "The estimated motion moves the image by more than 12 px in one window, or a lost "
+            "window's own motion lies more than 6 px from the one it was tracked with."
+        ),
         todo=(
             "Take shorter windows (fewer events), or give the pose by hand: try again from here and drag the"
             " camera."
@@ -94,8 +97,8 @@ EXPLANATIONS: dict[Cause, Explanation] = {
             "elsewhere."
         ),
         told_from=(
-            "The score at the estimate is lower than at the prior or at the truth. The landscape (G) marks "
-            "all three and the summit."
+            "Within a quarter of a second the camera was found again close to where it was lost. The "
+            "landscape (G) marks estimate, prior, truth and the summit."
         ),
         todo=(
             "Try again from here with the pose dragged towards the summit, or with another objective or "
@@ -117,9 +120,10 @@ EXPLANATIONS: dict[Cause, Explanation] = {
         name="the scene is not planar",
         means="What is seen lies at several depths: no plane explains how all edges move.",
         told_from=(
-            "Edges stay unexplained on one side while others fit; “residual” shows them in one part of the image."
+            "In the first windows one plane did not explain the motion, and nothing else explains the "
+            "failure; “residual” shows edges left over in one part of the image."
         ),
-        todo="Use the translation model, which knows depth, or keep the camera before one plane.",
+        todo=("Use the motion models auto or translation, which know depth, or keep the camera before one plane."),
     ),
     Cause.UNKNOWN: Explanation(
         name="not known",
