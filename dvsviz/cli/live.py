@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from dvsviz.cli.arguments import Replay, Track, UsageError
 from dvsviz.cli.console import Interrupts, note, print_json, read_recording, sessions_folder, share_bar
 from dvsviz.cli.runs import config_of, print_summary
@@ -26,11 +28,20 @@ def replay(command: Replay) -> int:
     return 0
 
 
+def save_interrupted(record: Path | None) -> None:
+    """Save what a killed run had recorded under this name, and say so."""
+    from dvsviz.formats.hdf5_rescue import rescue
+
+    if record is not None and (count := rescue(record)) is not None:
+        note(f"{record}: saved the {count:,d} events that an interrupted run had recorded; it can be tracked")
+
+
 def track_live(command: Track) -> int:
     """Track a stream until it ends or Ctrl-C is pressed; both end the session well."""
     if command.recording is not None or command.resume:
         raise UsageError("--live takes neither a recording nor --resume", hint="leave them away")
     out = command.out or sessions_folder() / "live.h5"
+    save_interrupted(command.record)
     for path in (out, command.record):
         if path is not None and path.exists() and not command.force:
             raise SessionError("already exists", path=path, hint="replace it with --force")

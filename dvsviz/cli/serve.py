@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from dvsviz.cli.arguments import Serve, UsageError
 from dvsviz.cli.console import sessions_folder
+from dvsviz.cli.live import save_interrupted
 from dvsviz.errors import SessionError
 
 if TYPE_CHECKING:
@@ -48,6 +49,7 @@ def _live(command: Serve, sessions_dir: Path) -> RunOrder | None:
     from dvsviz.gateway.orders import RunOrder
     from dvsviz.live.network import look
 
+    save_interrupted(command.record)
     if command.record is not None and command.record.exists():
         raise SessionError("already exists", path=command.record, hint="name another file with --record")
     if command.calibration is not None:

@@ -178,7 +178,7 @@ def _read(file: h5py.File, path: Path) -> Recording:
     if version != VERSION:
         hint = "update dvsviz"
         _refuse(path, "attribute version", f"version {version:g} is not known, expected {VERSION}", hint)
-    camera, warnings = _camera(file, path)
+    camera, warnings = read_camera(file, path)
     events = Hdf5Events(file, path, camera)
     if events.count == 0:
         _refuse(path, "events", "there are no events", "record or convert it again")
@@ -202,7 +202,8 @@ def _read(file: h5py.File, path: Path) -> Recording:
     )
 
 
-def _camera(file: h5py.File, path: Path) -> tuple[Camera, tuple[str, ...]]:
+def read_camera(file: h5py.File, path: Path) -> tuple[Camera, tuple[str, ...]]:
+    """Return the camera of a recording's file, and what is to be warned of."""
     width, height = int(_number(file, "width", path)), int(_number(file, "height", path))
     check_sensor(width, height, path)
     if "camera" not in file:

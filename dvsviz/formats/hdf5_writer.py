@@ -19,6 +19,7 @@ from dvsviz.formats.checks import check_events
 from dvsviz.geometry import se3
 from dvsviz.geometry.camera import Camera
 from dvsviz.geometry.trajectory import Trajectory
+from dvsviz.session.lock import WriterLock, has_writer
 
 FORMAT = "dvsviz-recording"
 VERSION = 1
@@ -51,11 +52,17 @@ class RecordingWriter:
         self._path, self._camera = Path(path), camera
         self._growing = growing
         self._partial = self._path.with_name(f".{self._path.name}.{os.getpid()}-{threading.get_ident()}.part")
+        self._lock: WriterLock | None = None
         if growing:
             self._partial = growing_path(self._path)
+            if has_writer(self._partial):
+                hint = "choose another name, or wait until that run has ended"
+                raise FormatError("is being recorded by another run", path=self._path, hint=hint)
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             self._file = h5py.File(self._partial, "w", libver="latest" if growing else None)
+            if growing and os.name != "nt":  # there a file that is open cannot get its name
+                self._lock = WriterLock(self._partial)
         except OSError as error:
             hint = "choose a folder that can be written"
             raise FormatError(f"cannot be written ({error})", path=self._path, hint=hint) from error
@@ -176,6 +183,7 @@ class RecordingWriter:
         if self._file:
             self._file.close()
         self._partial.unlink(missing_ok=True)
+        self._release()
 
     def close(self) -> None:
         """Finish the file and give it its name."""
@@ -185,6 +193,11 @@ class RecordingWriter:
             _replace(self._file.require_group("frames"), "t", np.array(self._frame_t, np.int64))
         self._file.close()
         self._partial.replace(self._path)
+        self._release()
+
+    def _release(self) -> None:
+        if self._lock is not None:
+            self._lock.release()
 
     def __enter__(self) -> Self:
         return self

@@ -32,6 +32,7 @@ from dvsviz.formats.container import Folder, Zip
 from dvsviz.formats.filtered import filtered
 from dvsviz.formats.ground_truth import read_ground_truth
 from dvsviz.formats.hdf5 import GUESS_WARNING, read_recording
+from dvsviz.formats.hdf5_rescue import rescue
 from dvsviz.formats.options import OpenOptions
 from dvsviz.formats.sink import RecordingSink
 from dvsviz.formats.uzh import FORMAT_NAME as UZH_NAME
@@ -58,7 +59,8 @@ def open_recording(
 ) -> Recording:
     """Return the recording in a file, folder or archive of any known format.
 
-    A format other than our own is converted once; the copy is kept in the cache folder (`formats.cache`).
+    A format other than our own is converted once; the copy is kept in the cache folder (`formats.cache`). What a
+    killed run left of a recording gets its name first (`formats.hdf5_rescue`).
 
     Args:
         path: the recording.
@@ -87,7 +89,7 @@ def open_recording(
     if found is not None and found.size is not None and size is None:
         options = replace(options, size=found.size)
     try:
-        exists = path.exists()
+        exists = path.exists() or rescue(path) is not None
     except OSError:
         exists = False
     if not exists:

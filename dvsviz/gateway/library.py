@@ -17,6 +17,7 @@ from dvsviz.errors import DvsvizError, SessionError
 from dvsviz.events.filters import FilterConfig
 from dvsviz.events.recording import Recording
 from dvsviz.formats.hdf5_growing import GrowingEvents, open_growing
+from dvsviz.formats.hdf5_writer import growing_path
 from dvsviz.formats.open import open_recording
 from dvsviz.gateway.entries import origin_of, read_entry, rounded, state_of, waiting_entry
 from dvsviz.gateway.runs import Runs
@@ -281,7 +282,8 @@ class Library:
             growing = open_growing(stored, header.camera)
             return growing, "" if growing else f"the stream is being recorded ({stored}): images come in the end"
         for path in dict.fromkeys([stored, *near]):
-            if not path.exists() or path.resolve() == session.path.resolve():
+            is_there = path.exists() or growing_path(path).is_file()
+            if not is_there or path.resolve() == session.path.resolve():
                 continue
             for repair in (False, True):  # a recording that was repaired for tracking is repaired again
                 try:
