@@ -1,17 +1,21 @@
 """Make the pictures of the documentation: the dashboard in a real browser, at several sizes, dark and light.
 
-    python examples/screenshots.py ADDRESS [--session NAME] [--window K] [--compare NAME] [--out docs/pictures]
+    python examples/screenshots.py ADDRESS [--session NAME] [--window K] [--compare NAME] [--report FILE.html]
+        [--only PICTURE …] [--out docs/pictures]
 
-ADDRESS is what `dvsviz serve` or `python app.py` prints.
+ADDRESS is what `dvsviz serve` or `python app.py` prints; sessions with failures are made by `planted_failures.py`.
 """
 
 from __future__ import annotations
 
 import argparse
+import io
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
+from PIL import Image
 from playwright.sync_api import Page, sync_playwright
 
 FLAGS = [
@@ -29,11 +33,23 @@ SHOTS: dict[str, tuple[int, int, Literal["dark", "light"]]] = {
     "dashboard-tablet-upright": (820, 1180, "dark"),
 }
 SCENE_S = 8.0
+SCENE_COLOURS = 200
 # Keys pressed for further pictures, where the window is one that has a cause to be seen.
 WITH_KEYS: dict[str, tuple[Literal["dark", "light"], tuple[str, ...]]] = {
     "landscape": ("dark", ("g", "w")),
     "curves": ("light", ("u",)),
+    "failures": ("light", ("w",)),
 }
+
+
+def placed(page: Page) -> None:
+    """Try again from here with a camera that was turned a little."""
+    page.keyboard.press("y")
+    page.get_by_label("Start from a pose of my own").check()
+    for name in ("−turn y", "−turn y"):
+        page.wait_for_timeout(1500)
+        page.get_by_label(name, exact=True).click()
+    page.locator("#panel-try .placed").scroll_into_view_if_needed()
 
 
 def until_shown(page: Page) -> None:
@@ -42,7 +58,21 @@ def until_shown(page: Page) -> None:
         if page.evaluate("window.dvsviz ? window.dvsviz.state.shown !== null : false"):
             break
         page.wait_for_timeout(50)
+    # Drawn in software, the scene takes its time: until it is more than an empty ground.
+    scene = page.locator("#scene")
+    for _ in range(60):
+        page.wait_for_timeout(1000)
+        drawn = Image.open(io.BytesIO(scene.screenshot())).convert("RGB")
+        if len(drawn.getcolors(1 << 24) or []) > SCENE_COLOURS:
+            break
     page.wait_for_timeout(1000 * SCENE_S)
+
+
+def photograph(page: Page, path: Path) -> None:
+    """Save what is on the screen, with a palette of 256 colours: a third of the size, and nobody sees it."""
+    whole = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
+    whole.quantize(256, dither=Image.Dither.NONE).save(path, optimize=True)
+    print(f"{path}: {path.stat().st_size // 1000} kB")
 
 
 def main() -> None:
@@ -51,6 +81,8 @@ def main() -> None:
     parser.add_argument("--session")
     parser.add_argument("--window", type=int)
     parser.add_argument("--compare", help="another session of the same recording, for the picture of comparing")
+    parser.add_argument("--report", type=Path, help="what `dvsviz report` wrote, for its picture")
+    parser.add_argument("--only", nargs="+", default=[], help="these pictures only")
     parser.add_argument("--out", type=Path, default=Path("docs/pictures"))
     asked = parser.parse_args()
     asked.out.mkdir(parents=True, exist_ok=True)
@@ -62,33 +94,39 @@ def main() -> None:
         address += f"&window={asked.window}"
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=place, args=FLAGS)
+
+        def picture(
+            name: str,
+            scheme: Literal["dark", "light"],
+            act: Callable[[Page], None] | None = None,
+            *,
+            at: str = address,
+            size: tuple[int, int] = (1280, 800),
+        ) -> None:
+            if asked.only and name not in asked.only:
+                return
+            page = browser.new_page(viewport={"width": size[0], "height": size[1]}, color_scheme=scheme)
+            page.goto(at)
+            if at.startswith("http"):
+                until_shown(page)
+            if act is not None:
+                act(page)
+                if page.locator("#landscape").is_visible():
+                    page.locator("#landscape canvas[data-cells='33']").wait_for(timeout=120_000)
+                page.wait_for_timeout(6000)
+            photograph(page, asked.out / f"{name}.png")
+            page.close()
+
         for name, (width, height, scheme) in SHOTS.items():
-            page = browser.new_page(viewport={"width": width, "height": height}, color_scheme=scheme)
-            page.goto(address)
-            until_shown(page)
-            page.screenshot(path=asked.out / f"{name}.png")
-            if name == "dashboard-dark":
-                page.keyboard.press("?")
-                page.screenshot(path=asked.out / "keys.png")
-            print(asked.out / f"{name}.png")
-            page.close()
+            picture(name, scheme, size=(width, height))
+        picture("keys", "dark", lambda page: page.keyboard.press("?"))
         for name, (scheme, keys) in WITH_KEYS.items():
-            page = browser.new_page(viewport={"width": 1280, "height": 800}, color_scheme=scheme)
-            page.goto(address)
-            until_shown(page)
-            for key in keys:
-                page.keyboard.press(key)
-            page.wait_for_timeout(6000)
-            page.screenshot(path=asked.out / f"{name}.png")
-            print(asked.out / f"{name}.png")
-            page.close()
+            picture(name, scheme, lambda page, keys=keys: [page.keyboard.press(key) for key in keys] and None)
+        picture("try-again", "dark", placed)
         if asked.compare:
-            page = browser.new_page(viewport={"width": 1280, "height": 800}, color_scheme="dark")
-            page.goto(f"{address}&compare={asked.compare}")
-            until_shown(page)
-            page.screenshot(path=asked.out / "compare.png")
-            print(asked.out / "compare.png")
-            page.close()
+            picture("compare", "dark", at=f"{address}&compare={asked.compare}")
+        if asked.report:
+            picture("report", "light", at=asked.report.resolve().as_uri(), size=(1000, 1300))
         browser.close()
 
 

@@ -16,7 +16,7 @@ export const CAUSES = {
   weak_direction: {
     name: "a direction that the texture cannot see",
     means: "The edges in view move alike under two motions (a turn about y and a move along x, say), or not at all along one: any mixture fits as well.",
-    from: "The condition of the pose's normal matrix is above 30 000; its weakest eigenvector names the motion. It is “seen least” among the numbers.",
+    from: "The condition of the pose's normal matrix is above 30,000; its weakest eigenvector names the motion. It is “seen least” among the numbers.",
     todo: "Open the landscape (G): it shows the ridge. More depth or edges in another direction end it; a motion model without the parameter that cannot be seen avoids it.",
   },
   left_map: {

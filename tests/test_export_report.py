@@ -86,7 +86,7 @@ def test_it_is_whole_and_points_only_into_itself(page: str) -> None:
 
 def test_it_says_what_the_session_says(page: str) -> None:
     # 4 of 40 windows are lost, none is initializing; the truth is a known one.
-    assert "90.0% of the 40 windows were tracked. It was lost 4 times" in page
+    assert "90.0 % of the 40 windows were tracked. It was lost 4 times" in page
     assert "1.25×" in page
     for number, failure in enumerate(FAILURES, 1):
         assert f'id="failure-{number}"' in page

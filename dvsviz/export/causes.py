@@ -55,7 +55,7 @@ EXPLANATIONS: dict[Cause, Explanation] = {
             " at all along one: any mixture fits as well."
         ),
         told_from=(
-            "The condition of the pose's normal matrix is above 30 000; its weakest eigenvector names the "
+            "The condition of the pose's normal matrix is above 30,000; its weakest eigenvector names the "
             "motion. It is “seen least” among the numbers."
         ),
         todo=(

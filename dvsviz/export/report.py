@@ -113,9 +113,7 @@ def _head(shown: ShownSession, found: dict[str, Any], evaluation: dict[str, Any]
         if position is not None and position is not False
         else ""
     )
-    sentence = (
-        f"{state}{found['tracked_share']:.1%} of the {len(status):,d} windows were tracked. {lost}{why}.{truth}"
-    )
+    sentence = f"{state}{100 * found['tracked_share']:.1f} % of the {len(status):,d} windows were tracked. {lost}{why}.{truth}"
     place = (
         f"{header.camera.width}×{header.camera.height} px · {header.duration_s:.2f} s · {escape(header.created)}"
     )
@@ -128,7 +126,7 @@ def _head(shown: ShownSession, found: dict[str, Any], evaluation: dict[str, Any]
 def _tiles(shown: ShownSession, found: dict[str, Any], evaluation: dict[str, Any] | None) -> str:
     summary = shown.session.summary or {}
     rows = [
-        (f"{found['tracked_share']:.1%}", "of the windows tracked"),
+        (f"{100 * found['tracked_share']:.1f} %", "of the windows tracked"),
         (f"{found['losses']}", "times lost"),
         (f"{len(shown.keyframes)}", "keyframes"),
     ]

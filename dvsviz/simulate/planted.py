@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dvsviz.geometry import se3
+from dvsviz.simulate.event_camera import EventCameraModel
 from dvsviz.simulate.motion import Motion, free_motion, handheld
 from dvsviz.simulate.scenes import Bounds, shapes
+from dvsviz.simulate.simulate import simulate
 from dvsviz.simulate.suite_scenes import smooth_step
 from dvsviz.simulate.texture import Texture, make_texture
 
 Array = NDArray[np.float64]
 Painter = Callable[[np.random.Generator, Bounds, float], Texture]
+Planted = Literal["bare", "stripes", "jerk"]
+"""A bare wall, stripes alone, a blow against the camera."""
 
 # Where the shapes end, m right of the middle.
 _SHAPES_END = 0.35
@@ -68,3 +74,21 @@ def jerked(rng: np.random.Generator, seconds: float, *, degrees: float = 25.0) -
         return T
 
     return motion
+
+
+def plant(name: Planted, out: Path, *, seed: int = 3) -> None:
+    """Write a short recording in which tracking fails for one reason: texture, stripes or speed.
+
+    Args:
+        name: for which.
+        out: the file.
+        seed: of everything random.
+    """
+    rng = np.random.default_rng(seed)
+    if name == "jerk":
+        simulate(out, scene=shapes, motion=jerked(rng, 3.0), seconds=1.8, seed=seed)
+        return
+    wall = shapes_until(blank if name == "bare" else stripes)
+    # Fewer events an edge than usual: two seconds of stripes are three million events.
+    sensor = EventCameraModel(threshold_on=0.3, threshold_off=0.3)
+    simulate(out, scene=wall, motion=to_the_right(rng, 2.2), seconds=2.2, seed=seed, sensor=sensor)
