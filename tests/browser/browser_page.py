@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from browser_samples import BITS, LEFT, LOWER, PITCH, SQUARE, UPPER
-from playwright.sync_api import ConsoleMessage, Page
+from playwright.sync_api import ConsoleMessage, Download, Page, expect
 
 FLAGS = [
     "--headless=new",
@@ -116,6 +116,20 @@ class Dashboard:
             }"""
         )
         return box["x"] + share * box["width"], box["y"] + 0.55 * box["height"]
+
+    def save(self, to: str, path: Path) -> Path:
+        """Press an export's button and save what comes."""
+        downloads: list[Download] = []
+        self.page.once("download", lambda download: downloads.append(download))
+        expect(self.page.locator("#export-button")).to_be_enabled()
+        if self.page.locator("#export-menu").is_hidden():
+            self.press("e")
+        self.page.locator(f"[data-export={to}]").click()
+        newest = self.page.locator("#export-list li").first
+        self.until(lambda: downloads or "failed" in (newest.get_attribute("class") or ""), f"{to} comes", 60)
+        assert downloads, newest.inner_text()
+        downloads[0].save_as(path)
+        return path
 
     def press(self, *keys: str) -> None:
         for key in keys:

@@ -6,7 +6,7 @@ are 0. What a canvas shows can so be decoded, and a picture mixed of two windows
 
 from __future__ import annotations
 
-import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -185,16 +185,21 @@ def truth(windows: int) -> Trajectory:
 
 
 def write_session(
-    path: Path, recording: Path, windows: int, *, with_truth: bool = True, delay_s: float = 0.0
+    path: Path,
+    recording: Path,
+    windows: int,
+    *,
+    with_truth: bool = True,
+    paced: Callable[[int], None] | None = None,
 ) -> None:
-    """Store a session of so many windows, with a delay after each window where it is to grow slowly."""
+    """Store a session of so many windows; where it is to grow while it is watched, `paced` waits before each."""
     with SessionWriter.create(path, header(recording, windows)) as writer:
         if with_truth:
             writer.set_ground_truth(truth(windows))
         for window in range(windows):
+            if paced is not None:
+                writer.flush()
+                paced(window)
             writer.append(result(window))
             writer.add(updates(window))
-            if delay_s:
-                writer.flush()
-                time.sleep(delay_s)
         writer.close({"windows": windows})

@@ -9,7 +9,10 @@ import browser_samples as samples
 import pytest
 from browser_page import FLAGS, Dashboard, chromium_on_path
 from browser_server import served
-from playwright.sync_api import Browser, Playwright, sync_playwright
+from playwright.sync_api import Browser, Playwright, expect, sync_playwright
+
+# As long as `Dashboard.until` waits: a busy machine is no failure.
+expect.set_options(timeout=15_000)
 
 
 @pytest.fixture(scope="session")

@@ -71,7 +71,7 @@ def test_a_branch_runs_beside_its_origin_and_is_kept_or_discarded(
     for _ in range(8):
         page.get_by_label("+move x").click()
     dashboard.until(lambda: share() < before - 10, "fewer edges lie on the map")
-    assert "0.080 d" in settings.inner_text()
+    expect(settings).to_contain_text("0.080 d", use_inner_text=True)
     page.get_by_role("button", name="back to the estimate").click()
     dashboard.until(lambda: abs(share() - before) < 1, "they lie on it again")
     page.get_by_label("+turn z").click()
@@ -82,11 +82,13 @@ def test_a_branch_runs_beside_its_origin_and_is_kept_or_discarded(
     go.click()
     branch = page.locator("[data-branch='wall try']")
     branch.wait_for()
-    assert not seen.is_visible()
+    expect(seen).to_be_hidden()
     dashboard.until(lambda: "shown" in (branch.get_attribute("class") or ""), "it is shown beside", 120)
     dashboard.until(lambda: "done" in branch.inner_text(), "it ends", 60)
     dashboard.until(lambda: "position error" in branch.inner_text(), "both errors are told")
-    assert f"from window {window}: window 1500 instead of 3000, pose by hand" in branch.inner_text()
+    expect(branch).to_contain_text(
+        f"from window {window}: window 1500 instead of 3000, pose by hand", use_inner_text=True
+    )
     with open_session(sessions / "branches" / "wall try.h5") as tried, open_session(sessions / "wall.h5") as wall:
         origin = tried.header.origin
         assert origin is not None and origin.window == window and origin.T_world_camera is not None
@@ -102,11 +104,14 @@ def test_a_branch_runs_beside_its_origin_and_is_kept_or_discarded(
         if (Math.abs(data[i] - 222) < 12 && Math.abs(data[i + 1] - 165) < 12 && data[i + 2] > 240) count++;
       return count;
     }"""
-    assert page.evaluate(tried_pixels, 0.8) > 8
+    dashboard.until(lambda: page.evaluate(tried_pixels, 0.8) > 8, "the branch is drawn")
     assert page.evaluate(tried_pixels, 0.2) == 0
     # It stands under its origin in the list, and can be opened, compared, and kept.
-    names = page.locator("#session-list a").evaluate_all("links => links.map((link) => link.dataset.name)")
-    assert names == ["wall", "wall try"]
+    named = "links => links.map((link) => link.dataset.name)"
+    dashboard.until(
+        lambda: page.locator("#session-list a").evaluate_all(named) == ["wall", "wall try"], "it is listed"
+    )
+    branch.get_by_role("link", name="compare").wait_for()
     assert "compare=wall%20try" in (branch.get_by_role("link", name="compare").get_attribute("href") or "")
     branch.get_by_role("link", name="open").click()
     dashboard.until(lambda: dashboard.state["session"] == "wall try", "the branch is opened")
@@ -144,12 +149,15 @@ def test_the_camera_is_dragged_in_the_scene(chromium: Browser, address: str) -> 
     page.locator("#try-here").click()
     page.get_by_label("Start from a pose of my own").check()
     panel = page.locator("#panel-try")
-    dashboard.until(lambda: "0.000 d" in panel.inner_text(), "the camera stands at the estimate")
+    expect(panel).to_contain_text("0.000 d")
     page.wait_for_timeout(1500)
     box = page.locator("#scene").bounding_box()
     assert box is not None
+
     # The handles lie around the camera: wherever one is caught, the camera follows and the page is told.
-    moved = False
+    def has_moved() -> bool:
+        return "0.000 d and 0.0°" not in panel.inner_text()
+
     for x, y in [(0.1 + 0.04 * i, 0.5 + 0.06 * j) for j in range(8) for i in range(10)]:
         page.mouse.move(box["x"] + x * box["width"], box["y"] + y * box["height"])
         page.wait_for_timeout(60)
@@ -157,8 +165,7 @@ def test_the_camera_is_dragged_in_the_scene(chromium: Browser, address: str) -> 
         page.mouse.move(box["x"] + x * box["width"] + 30, box["y"] + y * box["height"] - 20, steps=4)
         page.wait_for_timeout(60)
         page.mouse.up()
-        moved = "0.000 d and 0.0°" not in panel.inner_text()
-        if moved:
+        if has_moved():
             break
-    assert moved
+    dashboard.until(has_moved, "the camera follows")
     page.context.close()

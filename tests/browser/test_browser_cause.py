@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from browser_page import Dashboard
 from browser_samples import FAILURES
+from playwright.sync_api import expect
 
 pytestmark = pytest.mark.browser
 
@@ -35,17 +36,17 @@ def lit(dashboard: Dashboard, kind: str = "raw") -> int:
 
 def test_images_are_chosen_and_kept(dashboard: Dashboard) -> None:
     dashboard.enter("barcode", 40)
-    assert dashboard.page.locator("#images .cell").count() == 4
+    expect(dashboard.page.locator("#images .cell")).to_have_count(4)
     dashboard.press("i")
     menu = dashboard.page.locator("#kinds-menu")
     for name in ("residual", "true motion", "true pose on map"):
         menu.get_by_label(name, exact=False).first.check()
     menu.get_by_label("texture").uncheck()
     dashboard.press("Escape")
-    assert menu.is_hidden()
+    expect(menu).to_be_hidden()
     for kind in ("residual", "truth", "aligned"):
         dashboard.until(lambda k=kind: lit(dashboard, k) > 0, f"{kind} is drawn")
-    assert dashboard.page.locator("[data-kind=texture]").count() == 0
+    expect(dashboard.page.locator("[data-kind=texture]")).to_have_count(0)
     # The estimate stands still and the truth moves: the true motion moves the code's squares.
     assert dashboard.decoded("warped") == 40
     # 7 keys for what is shown: the sixth is the last.
@@ -54,7 +55,7 @@ def test_images_are_chosen_and_kept(dashboard: Dashboard) -> None:
     dashboard.press("6")
     dashboard.page.reload()
     dashboard.until(lambda: dashboard.loaded() and lit(dashboard, "aligned") > 0, "the choice is remembered")
-    assert dashboard.page.locator("#images .cell").count() == 6
+    expect(dashboard.page.locator("#images .cell")).to_have_count(6)
     assert not dashboard.problems
 
 
@@ -87,24 +88,15 @@ def test_the_landscape_follows_the_playhead(dashboard: Dashboard) -> None:
     dashboard.until(lambda: stands_at(50), "the landscape of window 50 is there", 60)
     legend = dashboard.page.locator(".landscape-marks")
     for mark in ("estimate", "prior", "truth", "summit"):
-        assert mark in legend.inner_text()
+        expect(legend).to_contain_text(mark, use_inner_text=True)
     # The window's weakest direction is what is shown first.
     axes = dashboard.page.locator(".landscape-bar select")
     assert [axes.nth(i).evaluate("e => e.selectedOptions[0].text") for i in (1, 2)] == [
         "rotation about x",
         "motion along y",
     ]
-    took = dashboard.page.evaluate(
-        """async () => {
-          const from = performance.now();
-          await window.dvsviz.seek(60);
-          const canvas = document.querySelector("#landscape canvas");
-          while (canvas.dataset.window !== "60") await new Promise((resolve) => setTimeout(resolve, 10));
-          return performance.now() - from;
-        }"""
-    )
-    assert took < 5000  # a loaded machine; the figure is measured by benchmarks/landscape.py
-    dashboard.until(lambda: stands_at(60), "the fine landscape follows")
+    dashboard.run("seek(60)")
+    dashboard.until(lambda: stands_at(60), "the fine landscape follows", 60)
     axes.first.select_option("map")
     axes.nth(1).select_option(label="motion along y")  # the other axis gives way
     assert axes.nth(2).evaluate("e => e.selectedOptions[0].text") != "motion along y"
@@ -115,7 +107,7 @@ def test_the_landscape_follows_the_playhead(dashboard: Dashboard) -> None:
     dashboard.run("seek(1)")
     dashboard.page.locator(".landscape-hint", has_text="there is no map yet at this window").wait_for()
     dashboard.press("g")
-    assert dashboard.page.locator("#landscape").is_hidden()
+    expect(dashboard.page.locator("#landscape")).to_be_hidden()
     dashboard.press("ArrowRight")
     dashboard.until_shown(2)
     assert not dashboard.problems
@@ -142,24 +134,27 @@ def test_curves_are_chosen_and_drawn(dashboard: Dashboard) -> None:
     curves = """(set) => fetch(`/api/sessions/barcode/columns?start=0&set=${set}`)
       .then((answer) => answer.arrayBuffer())
       .then((buffer) => buffer.byteLength)"""
-    assert dashboard.page.evaluate(curves, "pixels") > 300 * 4
+    # Pixels are counted window by window, in the background.
+    dashboard.until(lambda: dashboard.page.evaluate(curves, "pixels") > 300 * 4, "all windows are counted")
     assert dashboard.page.evaluate(curves, "pose") > 12 * 300 * 4
-    height = dashboard.page.locator(".bottom").bounding_box()
-    assert height is not None
-    assert height["height"] > 250
+
+    def height() -> float:
+        box = dashboard.page.locator(".bottom").bounding_box()
+        return 0.0 if box is None else box["height"]
+
+    dashboard.until(lambda: height() > 250, "the timeline is higher")
+    low = height()
     dashboard.page.locator("#bottom-grip").focus()
     dashboard.press("ArrowUp", "ArrowUp")
-    taller = dashboard.page.locator(".bottom").bounding_box()
-    assert taller is not None
-    assert taller["height"] > height["height"] + 40
+    dashboard.until(lambda: height() > low + 40, "it is higher still")
     dashboard.page.mouse.click(*dashboard.timeline_x(0.5))
     dashboard.until_shown(dashboard.state["window"])
     dashboard.page.reload()
     dashboard.until(lambda: dashboard.loaded() and dashboard.state["shown"] is not None, "the page is back")
     dashboard.press("u")
-    assert menu.get_by_label("roll").is_checked()
+    expect(menu.get_by_label("roll")).to_be_checked()
     menu.get_by_role("button", name="As at first").click()
-    assert not menu.get_by_label("roll").is_checked()
+    expect(menu.get_by_label("roll")).not_to_be_checked()
     assert not dashboard.problems
 
 
@@ -167,21 +162,21 @@ def test_causes_are_explained_and_filtered(dashboard: Dashboard) -> None:
     dashboard.enter("barcode", FAILURES[1].worst)
     dashboard.press("w")
     panel = dashboard.page.locator("#panel-failures")
-    assert "farther than the search reaches" in panel.locator(".explanation").inner_text()
+    expect(panel.locator(".explanation")).to_contain_text("farther than the search reaches", use_inner_text=True)
     dashboard.press("Enter")  # the button has the focus: it hides what it showed
-    assert panel.locator(".explanation").count() == 0
+    expect(panel.locator(".explanation")).to_have_count(0)
     panel.get_by_role("button", name="Why: too little texture").click()
-    assert "150 edge pixels" in panel.locator(".explanation").inner_text()
+    expect(panel.locator(".explanation")).to_contain_text("150 edge pixels", use_inner_text=True)
     panel.get_by_label("Cause", exact=True).select_option("too_fast")
-    assert panel.locator(".failure-row").count() == 1
+    expect(panel.locator(".failure-row")).to_have_count(1)
     dashboard.press("p")
     dashboard.page.locator("#failure-why").click()
-    assert "Told from" in panel.locator(".explanation").inner_text()
+    expect(panel.locator(".explanation")).to_contain_text("Told from", use_inner_text=True)
     dashboard.run("seek(50)")
-    assert dashboard.page.locator("#failure-why").is_hidden()
+    expect(dashboard.page.locator("#failure-why")).to_be_hidden()
     panel.get_by_role("button", name=f"Landscape at its worst window, {FAILURES[0].worst}").click()
     dashboard.until_shown(FAILURES[0].worst)
-    assert dashboard.page.locator("#landscape").is_visible()
+    expect(dashboard.page.locator("#landscape")).to_be_visible()
     for width, height in ((1280, 800), (3840, 2160), (1024, 1366)):
         dashboard.page.set_viewport_size({"width": width, "height": height})
         dashboard.until(lambda: dashboard.page.evaluate(_INSIDE), f"the landscape has its place at {width}", 5)

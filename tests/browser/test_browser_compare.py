@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from browser_page import Dashboard
 from browser_samples import FAILURES
+from playwright.sync_api import expect
 
 pytestmark = pytest.mark.browser
 
@@ -28,6 +29,8 @@ def test_a_second_session_is_laid_over_the_first(dashboard: Dashboard) -> None:
     choice.select_option("gone")
     panel = dashboard.page.locator("#panel-compare")
     panel.locator(".compare-table").wait_for()
+    # The poses of both are fetched after the table stands.
+    expect(panel.locator(".compare-table")).to_contain_text("0.00 % d")
     rows = {
         row.split("\t")[0]: row.split("\t")[1:] for row in panel.locator(".compare-table").inner_text().split("\n")
     }
@@ -35,10 +38,10 @@ def test_a_second_session_is_laid_over_the_first(dashboard: Dashboard) -> None:
     assert rows["apart"][1].startswith("0.00 % d")
     assert rows["turned"][1].startswith("0.00°")
     assert rows["windows"] == ["300", "60"]
-    assert "window 40" in panel.locator(".compare-now").inner_text()
+    expect(panel.locator(".compare-now")).to_contain_text("window 40", use_inner_text=True)
     dashboard.until(lambda: dashboard.page.evaluate(_DASHED) > 20, "its curves are drawn")
     dashboard.run(f"seek({FAILURES[0].worst})")  # the other session has ended: its last window stands
-    assert "window 59" in panel.locator(".compare-now").inner_text()
+    expect(panel.locator(".compare-now")).to_contain_text("window 59", use_inner_text=True)
     dashboard.until(lambda: "&compare=gone" in dashboard.page.url, "the address says it")
     other = Dashboard(dashboard.page.context.new_page(), dashboard.page.url)
     other.page.goto(other.address)
@@ -66,6 +69,8 @@ def test_what_cannot_be_compared_is_said(dashboard: Dashboard) -> None:
     dashboard.page.evaluate("location.hash = '#session=barcode&window=40&compare=nothing'")
     dashboard.page.reload()
     dashboard.page.locator("#panel-compare [role=alert]").wait_for()
-    assert "there is no session of this name" in dashboard.page.locator("#panel-compare").inner_text()
+    expect(dashboard.page.locator("#panel-compare")).to_contain_text(
+        "there is no session of this name", use_inner_text=True
+    )
     dashboard.page.get_by_role("button", name="Compare with gone").click()
     dashboard.page.locator(".compare-table").wait_for()

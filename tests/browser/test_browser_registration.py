@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from browser_page import Dashboard
 from browser_server import served
-from playwright.sync_api import Browser
+from playwright.sync_api import Browser, expect
 
 from dvsviz.geometry import se3
 from dvsviz.geometry.camera import Camera
@@ -84,12 +84,12 @@ def test_a_registration_is_listed_and_scrubbed(flat_chromium: Browser, tmp_path:
         assert captions == ["pair of frames", "matches", "depth", "errors of all methods"]
         assert page.evaluate(_COLOURED, ["warped", *GREEN]) > 100
         assert page.evaluate(_COLOURED, ["warped", *ORANGE]) > 50
-        assert "20 of 30 agree" in page.locator("[data-kind=warped] .caption").inner_text()
-        assert "kabsch, skip 1: frame 2 against 1" in page.locator("body").inner_text()
+        expect(page.locator("[data-kind=warped] .caption")).to_contain_text("20 of 30 agree", use_inner_text=True)
+        expect(page.locator("body")).to_contain_text("kabsch, skip 1: frame 2 against 1", use_inner_text=True)
         dashboard.run(f"seek({LOST})")
         assert dashboard.state["status"] == "lost"
         assert page.evaluate(_COLOURED, ["warped", *GREEN]) == 0
-        assert "only 0 points agree" in page.locator("body").inner_text()
+        expect(page.locator("body")).to_contain_text("only 0 points agree", use_inner_text=True)
         dashboard.run("seek(0)")
         assert page.evaluate(_COLOURED, ["warped", *ORANGE]) == 0
         assert not dashboard.problems

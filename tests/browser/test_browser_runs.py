@@ -24,7 +24,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Recordings that no session was made of, in a folder of their own."""
     folder = tmp_path_factory.mktemp("offered")
     camera = Camera(width=160, height=120, fx=140, fy=140, cx=79.5, cy=59.5)
-    simulate(folder / "wall.h5", seconds=2.0, seed=1, camera=camera)
+    simulate(folder / "wall.h5", seconds=3.0, seed=1, camera=camera)
     lines = [f"{k * 1e-3:.6f} {k % 64} {k % 48} {k % 2}" for k in range(2000)]
     (folder / "plain").mkdir()
     (folder / "plain" / "events.txt").write_text("\n".join(lines))
@@ -71,16 +71,16 @@ def test_runs_are_started_queued_and_stopped(dashboard: Dashboard, sessions: Pat
     # A guessed calibration is marked; values can be changed, and wrong ones are refused where they stand.
     page.locator("[data-recording]", has_text="plain").click()
     page.locator(".guess").wait_for()
-    assert "Guessed" in page.locator(".guess").inner_text()
+    expect(page.locator(".guess")).to_contain_text("Guessed", use_inner_text=True)
     page.locator("[data-recording]", has_text="wall.h5").click()
     expect(dialog.get_by_label("fx", exact=True)).to_have_value("140")
-    assert page.locator(".guess").count() == 0
-    assert "on disk" in page.locator(".estimate").inner_text()
+    expect(page.locator(".guess")).to_have_count(0)
+    expect(page.locator(".estimate")).to_contain_text("on disk", use_inner_text=True)
     dialog.get_by_label("fx", exact=True).fill("145")
-    assert "58° across" in page.locator(".run-detail").inner_text()
+    expect(page.locator(".run-detail")).to_contain_text("58° across", use_inner_text=True)
     dialog.get_by_label("Window", exact=True).fill("many")
     page.get_by_role("button", name="Start tracking").click()
-    assert "whole number" in page.locator("#track .bad").inner_text()
+    expect(page.locator("#track .bad")).to_contain_text("whole number", use_inner_text=True)
     dialog.get_by_label("Window", exact=True).fill("1500")
     dialog.get_by_label("Name").fill("first")
     page.get_by_role("button", name="Start tracking").click()
@@ -93,7 +93,7 @@ def test_runs_are_started_queued_and_stopped(dashboard: Dashboard, sessions: Pat
     dialog.get_by_label("Start").fill("0.5")
     page.get_by_role("button", name="Start tracking").click()
     row(page, "second").locator(".run-line").wait_for()
-    assert "waits, 1 before it" in row(page, "second").inner_text()
+    expect(row(page, "second")).to_contain_text("waits, 1 before it", use_inner_text=True)
     row(page, "second").get_by_role("button", name="cancel").click()
     dashboard.until(lambda: row(page, "second").count() == 0, "it is gone")
     row(page, "first").locator("a").click()
@@ -102,7 +102,7 @@ def test_runs_are_started_queued_and_stopped(dashboard: Dashboard, sessions: Pat
     dashboard.until(lambda: "Mev/s" in line.inner_text(), "its speed is shown")
     line.get_by_role("button", name="pause").click()
     dashboard.until(lambda: "paused" in line.inner_text(), "it is paused")
-    assert page.locator("#live-badge").inner_text() == "paused"
+    expect(page.locator("#live-badge")).to_have_text("paused", use_inner_text=True)
     page.locator("#run-pause").click()
     dashboard.until(lambda: "paused" not in line.inner_text(), "it goes on")
     dashboard.until(lambda: not dashboard.state["live"] and dashboard.state["windows"] > 0, "it ends", 60)
@@ -124,7 +124,7 @@ def test_a_full_disk_is_warned_of(dashboard: Dashboard) -> None:
     page.route("**/api/recordings/*", full)
     dashboard.enter("barcode")
     choose(page, "wall.h5")
-    assert "The disk is too full" in page.locator(".estimate.bad").inner_text()
+    expect(page.locator(".estimate.bad")).to_contain_text("The disk is too full", use_inner_text=True)
 
 
 def test_a_session_is_renamed_tagged_resumed_and_deleted(
@@ -158,7 +158,7 @@ def test_a_session_is_renamed_tagged_resumed_and_deleted(
     dialog.get_by_role("button", name="Save tags").click()
     dashboard.until(lambda: "handheld" in row(page, "Wand 2").inner_text(), "tags are listed")
     page.locator("#filter").fill("night")
-    assert page.locator("#session-list a").count() == 1
+    expect(page.locator("#session-list a")).to_have_count(1)
     page.locator("#filter").fill("")
     manage("Wand 2")
     dialog.get_by_role("button", name="Delete…").click()

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from browser_page import Dashboard
 from browser_samples import FAILURES, WINDOW_US
+from playwright.sync_api import expect
 
 pytestmark = pytest.mark.browser
 
@@ -15,7 +16,7 @@ def test_the_printed_address_opens_a_session(dashboard: Dashboard) -> None:
     dashboard.until(lambda: dashboard.loaded() and dashboard.state["shown"] is not None, "images are shown")
     assert "token" not in dashboard.page.url
     assert dashboard.state["session"] in ("barcode", "gone", "growing")
-    assert dashboard.page.locator(".session-list a").count() >= 2
+    dashboard.until(lambda: dashboard.page.locator(".session-list a").count() >= 2, "sessions are listed")
     assert not dashboard.problems
 
 
@@ -23,7 +24,7 @@ def test_a_session_opens_at_its_first_failure_with_the_right_image(dashboard: Da
     dashboard.enter("barcode")
     dashboard.until_shown(FAILURES[0].worst)
     assert dashboard.state["status"] == "lost"
-    assert dashboard.page.locator("#failure-title").inner_text() == FAILURES[0].message
+    expect(dashboard.page.locator("#failure-title")).to_have_text(FAILURES[0].message, use_inner_text=True)
     # The velocity of the sample is zero: the warped window shows the same code.
     assert dashboard.decoded("warped") == FAILURES[0].worst
 
@@ -72,16 +73,22 @@ def test_the_script_interface(dashboard: Dashboard) -> None:
 
 def test_playing_keeps_the_time_of_the_recording(dashboard: Dashboard) -> None:
     dashboard.enter("barcode", 0)
-    walked = dashboard.page.evaluate(
-        """async () => {
+    late = dashboard.page.evaluate(
+        """async (window_s) => {
           await window.dvsviz.play();
           const from = performance.now();
-          await new Promise((resolve) => setTimeout(resolve, 2500));
-          return { window: window.dvsviz.state.window, seconds: (performance.now() - from) / 1000 };
-        }"""
+          const late = [];
+          for (let k = 0; k < 30; k++) {
+            await new Promise((resolve) => setTimeout(resolve, 100));
+            late.push((performance.now() - from) / 1000 - window.dvsviz.state.window * window_s);
+          }
+          return late;
+        }""",
+        WINDOW_US * 1e-6,
     )
-    # One window is 30 ms; the page may be a frame late, never slower and slower.
-    assert abs(walked["window"] * WINDOW_US * 1e-6 - walked["seconds"]) < 0.25
+    # One window is 30 ms. A busy machine draws late now and then, never slower and slower, and never ahead of time.
+    assert min(late) > -0.25
+    assert min(late[20:]) < 0.25
 
 
 def test_speed_and_steps(dashboard: Dashboard) -> None:
@@ -110,7 +117,7 @@ def test_failures_and_keyframes_by_key_and_from_the_list(dashboard: Dashboard) -
     dashboard.until_shown(FAILURES[0].worst)
     dashboard.press("n")
     dashboard.until_shown(FAILURES[1].worst)
-    assert FAILURES[1].message in dashboard.page.locator("#failure").inner_text()
+    expect(dashboard.page.locator("#failure")).to_contain_text(FAILURES[1].message, use_inner_text=True)
     dashboard.press("n")
     assert dashboard.state["window"] == FAILURES[1].worst
     dashboard.press("p")
@@ -180,7 +187,7 @@ def test_a_session_without_its_recording_says_so(dashboard: Dashboard) -> None:
     dashboard.page.get_by_role("link", name="gone").click()
     dashboard.until(lambda: dashboard.state["session"] == "gone" and dashboard.state["windows"] == 60, "it opens")
     dashboard.run("seek(10)")
-    assert "recording" in dashboard.page.locator("[data-kind=raw] .missing").inner_text()
+    expect(dashboard.page.locator("[data-kind=raw] .missing")).to_contain_text("recording", use_inner_text=True)
     assert not dashboard.problems
 
 
