@@ -98,7 +98,7 @@ def main() -> None:
         def picture(
             name: str,
             scheme: Literal["dark", "light"],
-            act: Callable[[Page], None] | None = None,
+            act: Callable[[Page], object] | None = None,
             *,
             at: str = address,
             size: tuple[int, int] = (1280, 800),
@@ -121,7 +121,7 @@ def main() -> None:
             picture(name, scheme, size=(width, height))
         picture("keys", "dark", lambda page: page.keyboard.press("?"))
         for name, (scheme, keys) in WITH_KEYS.items():
-            picture(name, scheme, lambda page, keys=keys: [page.keyboard.press(key) for key in keys] and None)
+            picture(name, scheme, lambda page, keys=keys: [page.keyboard.press(key) for key in keys])
         picture("try-again", "dark", placed)
         if asked.compare:
             picture("compare", "dark", at=f"{address}&compare={asked.compare}")
