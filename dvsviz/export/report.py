@@ -113,7 +113,8 @@ def _head(shown: ShownSession, found: dict[str, Any], evaluation: dict[str, Any]
         if position is not None and position is not False
         else ""
     )
-    sentence = f"{state}{100 * found['tracked_share']:.1f} % of the {len(status):,d} windows were tracked. {lost}{why}.{truth}"
+    tracked = f"{100 * found['tracked_share']:.1f} % of the {len(status):,d} windows were tracked."
+    sentence = f"{state}{tracked} {lost}{why}.{truth}"
     place = (
         f"{header.camera.width}×{header.camera.height} px · {header.duration_s:.2f} s · {escape(header.created)}"
     )
