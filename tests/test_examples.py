@@ -16,9 +16,13 @@ SAID = {
     "02_session": "keyframes were made of windows [0",
     "03_evaluate": "position (ATE, RMSE)",
     "04_registration_study": "kabsch-weighted",
+    "05_events_and_frames": "events ",
 }
 # What takes long has a short version.
-OPTIONS = {"04_registration_study": ["--quick"]}
+OPTIONS = {
+    "04_registration_study": ["--quick"],
+    "05_events_and_frames": ["--motion", "handheld", "--seconds", "0.5", "--skips", "5"],
+}
 
 
 @pytest.fixture(scope="module")

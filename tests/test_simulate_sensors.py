@@ -39,6 +39,7 @@ MODELS = {
     "position": (points.position, points.position_jacobians),
     "range": (points.distance, points.distance_jacobians),
     "lidar": (points.lidar, points.lidar_jacobians),
+    "spherical": (cameras.spherical, cameras.spherical_jacobians),
     "pinhole": (
         lambda T, m: cameras.pinhole(T, WIDE, m),
         lambda T, m: cameras.pinhole_jacobians(T, WIDE, m),
@@ -114,6 +115,16 @@ def test_pinhole_sees_left_as_left_and_up_as_up() -> None:
     # k1 r² = -0.32 x 0.25: an eighth of the way to the centre less.
     lens = Camera(width=346, height=260, fx=190.0, fy=190.0, cx=170.0, cy=130.0, distortion=(-0.32, 0, 0, 0, 0))
     assert cameras.pinhole(np.eye(4), lens, [0.5, 0.0, 1.0]) == pytest.approx([170 + 95 * 0.92, 130])
+
+
+def test_sphere_sees_behind_and_agrees_with_the_pinhole_in_front() -> None:
+    assert cameras.spherical(FORWARD, [-2.0, 2.0, 0.5]) == pytest.approx([0, 0, -1])
+    assert cameras.spherical(FORWARD, [1.0, 5.0, 4.5]) == pytest.approx([-0.6, -0.8, 0])
+    Ts, ms = poses_and_points()
+    on_sphere = cameras.spherical(Ts, ms)
+    assert np.linalg.norm(on_sphere, axis=-1) == pytest.approx(1)
+    assert IDEAL.project(on_sphere[:, :2] / on_sphere[:, 2:]) == pytest.approx(cameras.pinhole(Ts, IDEAL, ms))
+    assert np.isnan(cameras.spherical(FORWARD, FORWARD[:3, 3])).all()
 
 
 def test_radial_polynomial_and_its_inverse() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -62,11 +63,28 @@ def test_tum_file_over_a_scene_with_depth_as_rgbd(tmp_path: Path) -> None:
     file, out = tmp_path / "real.txt", tmp_path / "flight"
     write_tum(file, Trajectory(t_us=np.round(t * 1e6).astype(np.int64), Ts_world_camera=slider(speed=0.5)(t)))
     argv = ["--scene", "planes", "--motion", file, "--layout", "rgbd", "--size", "80x60", "--out", out]
-    assert run(*argv, "--frames-hz", 10) == 0
+    assert run(*argv, "--frames-hz", 10, "--exposure-ms", 2) == 0
     frames = open_frames(out)
     assert frames.t_us.tolist() == [0, 100_000, 200_000]
     assert frames.ground_truth is not None
     assert frames.ground_truth.positions[-1] == pytest.approx([0.1, 0, 0], abs=1e-6)
+
+
+def test_a_picture_of_ones_own_on_the_wall(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Left half black, right half white, 2 m wide: what the camera sees left and right of its middle."""
+    image = np.zeros((40, 100), np.uint8)
+    image[:, 50:] = 255
+    assert cv2.imwrite(str(tmp_path / "half.png"), image)
+    wish = ["--scene", tmp_path / "half.png", "--motion", "slider", "--seconds", 0.2, "--tilt-deg", 0]
+    assert run(*wish, "--size", "80x60", "--frames-hz", 10, "--out", tmp_path / "r.h5") == 0
+    frames = read_recording(tmp_path / "r.h5").frames
+    assert frames is not None
+    # The slider begins 16 mm left of the middle, a metre away: a pixel right of it, at 67 px of focal length.
+    seen = frames.read(0)
+    assert (seen[:, :38] < 10).all() and (seen[:, 44:] > 250).all()
+    (tmp_path / "no.png").write_bytes(b"x")
+    assert "picture" in refused(capsys, "--scene", tmp_path / "no.png", "--out", tmp_path / "b.h5")
+    assert "picture" in refused(capsys, "--scene", "nothing", "--out", tmp_path / "b.h5")
 
 
 def test_wrong_wishes_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -74,7 +92,8 @@ def test_wrong_wishes_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "handheld" in refused(capsys, "--motion", "swim", "--out", out)
     assert "no-such.tum" in refused(capsys, "--motion", "no-such.tum", "--out", out)
     assert "floor" in refused(capsys, "--motion", "circle", "--out", out)
-    assert "depth" in refused(capsys, "--layout", "rgbd", "--out", tmp_path / "d")
+    assert "floor" in refused(capsys, "--motion", "circle", "--layout", "rgbd", "--out", tmp_path / "d")
+    assert "shutter" in refused(capsys, "--exposure-ms", "5", "--out", out)
     assert "pixels" in refused(capsys, "--size", "9000x10", "--out", out)
     assert "tilt_deg" in refused(capsys, "--tilt-deg", "85", "--out", out)
     assert "frames_hz" in refused(capsys, "--frames-hz", "-1", "--out", out)

@@ -20,7 +20,8 @@ from dvsviz.simulate.relief import ReliefView
 from dvsviz.simulate.render import PixelGrid
 from dvsviz.simulate.rgbd import PERFECT, RgbdModel, simulate_rgbd
 from dvsviz.simulate.rooms import make_relief
-from dvsviz.simulate.simulate import simulate
+from dvsviz.simulate.simulate import simulate, wall
+from dvsviz.simulate.texture import Texture, make_texture
 
 SMALL = Camera(
     width=90, height=60, fx=80.1, fy=80.3, cx=44.5, cy=29.7, distortion=(-0.05, 0.01, 1e-4, -2e-4, 0.003)
@@ -70,11 +71,66 @@ def test_events_and_rgbd_of_one_seed_are_one_flight(tmp_path: Path) -> None:
     assert np.allclose(there, frames.at(both).Ts_world_camera, atol=1e-5)
 
 
-def test_rgbd_refuses_walls_and_rates(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="depth"):
-        simulate_rgbd(tmp_path / "a", scene="shapes")  # pyright: ignore[reportArgumentType]
+def test_rgbd_of_a_wall_is_the_wall_of_the_events(tmp_path: Path) -> None:
+    """Light: the intensity frames of the recording. Depth: the plane."""
+    options: dict = {
+        "scene": "poster",
+        "motion": "shake",
+        "seconds": 0.3,
+        "camera": SMALL,
+        "seed": 2,
+        "tilt_deg": 20.0,
+    }
+    simulate(tmp_path / "a.h5", frames_hz=10.0, **options)
+    simulate_rgbd(tmp_path / "frames", rate_hz=10.0, model=PERFECT, **options)
+    recording, frames = read_recording(tmp_path / "a.h5"), open_frames(tmp_path / "frames")
+    assert recording.frames is not None and frames.ground_truth is not None
+    first = frames.read(0)
+    # The next frames of a recording are those of its next step, not of a time.
+    difference = recording.frames.read(0).astype(int) - first.grey
+    assert np.abs(difference).max() <= 2 and first.grey.std() > 20
+    T, plane = frames.ground_truth.at(frames.t_us).Ts_world_camera[3], wall(1.0, 20.0)
+    rays = SMALL.bearing_table().reshape(-1, 2)
+    seen = plane.seen_from(T)
+    expected = -seen.distance / (np.column_stack([rays, np.ones(len(rays))]) @ seen.normal)
+    depth = frames.read(3).depth
+    assert depth is not None
+    np.testing.assert_allclose(depth.ravel(), expected, atol=1.5e-4)
+
+
+def test_an_open_shutter_blurs_along_the_motion(tmp_path: Path) -> None:
+    """Stripes that move by one period while it is open are gone; the depth is as it was."""
+
+    def stripes(rng: np.random.Generator, bounds: tuple, texel: float) -> Texture:
+        columns, rows = int((bounds[2] - bounds[0]) / texel), int((bounds[3] - bounds[1]) / texel)
+        u = bounds[0] + (np.arange(columns) + 0.5) * texel
+        image = np.repeat(0.5 + 0.4 * np.sin(2 * np.pi * u / 0.1)[None], rows, axis=0)
+        return make_texture(image.astype(np.float32), texel=texel, left=bounds[0], top=bounds[1])
+
+    options: dict = {
+        "scene": stripes,
+        "motion": slider(speed=1.0),
+        "seconds": 0.4,
+        "camera": SMALL,
+        "model": PERFECT,
+    }
+    for name, exposure in (("sharp", 0.0), ("half", 0.05), ("gone", 0.1)):
+        simulate_rgbd(tmp_path / name, rate_hz=5.0, exposure_s=exposure, tilt_deg=0.0, **options)
+    sharp, half, gone = (open_frames(tmp_path / name).read(1) for name in ("sharp", "half", "gone"))
+    assert gone.grey.std() < 0.03 * sharp.grey.std()
+    # The mean of a sinusoid over half its period is 2 / pi of it.
+    assert half.grey.std() == pytest.approx(2 / np.pi * sharp.grey.std(), rel=0.03)
+    assert sharp.depth is not None and gone.depth is not None
+    np.testing.assert_array_equal(sharp.depth, gone.depth)
+
+
+def test_rgbd_refuses_rates_exposures_and_walls_behind(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="rate_hz"):
         simulate_rgbd(tmp_path / "a", rate_hz=0.0)
+    with pytest.raises(ValueError, match="exposure_s"):
+        simulate_rgbd(tmp_path / "a", exposure_s=0.1)
+    with pytest.raises(ValueError, match="tilt_deg"):
+        simulate_rgbd(tmp_path / "a", scene="shapes", motion="handheld", tilt_deg=90)
     assert not (tmp_path / "a").exists()
 
 

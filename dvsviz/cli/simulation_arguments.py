@@ -10,7 +10,8 @@ from tyro.conf import arg
 
 from dvsviz.cli.options import Flag, option, read_size
 
-Scene = Literal["shapes", "poster", "stripes", "checkerboard", "planes", "boxes", "carpet"]
+SCENES = ("shapes", "poster", "stripes", "checkerboard", "planes", "boxes", "carpet")
+_PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
 Layout = Literal["hdf5", "uzh", "rgbd"]
 MOTIONS = ("handheld", "slider", "rotation", "shake", "circle", "rectangle", "lawnmower")
 
@@ -18,6 +19,12 @@ MOTIONS = ("handheld", "slider", "rotation", "shake", "circle", "rectangle", "la
 def _motion(word: str) -> str:
     if word not in MOTIONS and Path(word).suffix.lower() not in (".tum", ".txt"):
         raise ValueError(f"expected one of {', '.join(MOTIONS)}, or a file x.tum or x.txt, got {word}")
+    return word
+
+
+def _scene(word: str) -> str:
+    if word not in SCENES and Path(word).suffix.lower() not in _PICTURES:
+        raise ValueError(f"expected one of {', '.join(SCENES)}, or a picture x.png or x.jpg, got {word}")
     return word
 
 
@@ -35,12 +42,15 @@ class Simulate:
     Examples:  dvsviz simulate --scene shapes --motion handheld --seconds 10 --seed 1 --out r.h5
                dvsviz simulate --scene boxes --motion circle --seconds 8 --out flight.h5
                dvsviz simulate --scene carpet --motion lawnmower --layout rgbd --out flight
+               dvsviz simulate --scene photo.jpg --motion real-groundtruth.tum --out mine.h5
+               dvsviz simulate --motion shake --size 240x180 --layout rgbd --exposure-ms 10 --out frames
     """
 
     out: Annotated[Path, arg(metavar="FILE.h5|DIR")]
     """What to write: a file, or a folder where the layout is one."""
-    scene: Scene = "shapes"
-    """What is on the wall; or a scene with depth: planes, boxes on a plain floor, boxes on a carpet."""
+    scene: Annotated[str, *option("{" + ",".join(SCENES) + "}|PICTURE", _scene, "shapes")] = "shapes"
+    """What is on the wall, a picture of one's own 2 m wide; or a scene with depth: planes, boxes on a plain floor,
+    boxes on a carpet."""
     motion: Annotated[str, *option("{" + ",".join(MOTIONS) + "}|FILE.tum", _motion, "handheld")] = "handheld"
     """How the camera moves: a hand, a flight over boxes, or the poses of a TUM file."""
     seconds: Annotated[float | None, *option("S", _seconds, "10, or the whole of a flight or file")] = None
@@ -57,6 +67,8 @@ class Simulate:
     """Calibration of the simulated camera: fx fy cx cy k1 k2 p1 p2 k3."""
     frames_hz: Annotated[float | None, *option("HZ", _seconds, "none; rgbd 30")] = None
     """Intensity frames a second beside the events; of rgbd, frames a second."""
+    exposure_ms: Annotated[float, *option("MS", _seconds, "0: no blur")] = 0.0
+    """How long the shutter of rgbd's intensity images is open."""
     layout: Layout = "hdf5"
     """hdf5: our recording; uzh: a folder of text; rgbd: a TUM folder of images and depth, without events."""
     force: Flag = False

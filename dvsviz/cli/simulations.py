@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dvsviz.cli.console import note, share_bar
-from dvsviz.cli.simulation_arguments import MOTIONS, Simulate, SimulateSuite
+from dvsviz.cli.simulation_arguments import MOTIONS, SCENES, Simulate, SimulateSuite
 from dvsviz.errors import DvsvizError
 
 if TYPE_CHECKING:
     from dvsviz.geometry.camera import Camera
+    from dvsviz.simulate.scenes import Painter
 
 
 def simulate(command: Simulate) -> int:
@@ -21,10 +22,12 @@ def simulate(command: Simulate) -> int:
     if command.layout != "hdf5" and command.out.is_file():
         raise DvsvizError("is a file", path=command.out, hint=f"name a folder for the layout {command.layout}")
     options: dict[str, Any] = {
-        "scene": command.scene,
+        "scene": command.scene if command.scene in SCENES else _picture(Path(command.scene)),
         "motion": command.motion if command.motion in MOTIONS else Path(command.motion),
         "seconds": command.seconds,
         "seed": command.seed,
+        "distance": command.distance,
+        "tilt_deg": command.tilt_deg,
     }
     try:
         options["camera"] = _camera(command)
@@ -33,7 +36,10 @@ def simulate(command: Simulate) -> int:
                 from dvsviz.simulate.rgbd import simulate_rgbd
 
                 rate = 30.0 if command.frames_hz is None else command.frames_hz
-                simulate_rgbd(command.out, rate_hz=rate, progress=show, **options)
+                exposure_s = command.exposure_ms * 1e-3
+                simulate_rgbd(command.out, rate_hz=rate, exposure_s=exposure_s, progress=show, **options)
+            elif command.exposure_ms:
+                raise ValueError("exposure-ms: only images of the layout rgbd have a shutter")
             else:
                 _events(command, options, show)
     except ValueError as error:
@@ -46,7 +52,7 @@ def _events(command: Simulate, options: dict[str, Any], show: Callable[[float], 
     """Write a recording of events in the layout that is asked for."""
     from dvsviz.simulate.simulate import simulate as run
 
-    options |= {"distance": command.distance, "tilt_deg": command.tilt_deg, "frames_hz": command.frames_hz or 0.0}
+    options |= {"frames_hz": command.frames_hz or 0.0}
     if command.layout == "hdf5":
         run(command.out, progress=show, **options)
         return
@@ -59,6 +65,22 @@ def _events(command: Simulate, options: dict[str, Any], show: Callable[[float], 
         write_uzh(read_recording(passing), command.out)
     finally:
         passing.unlink(missing_ok=True)
+
+
+def _picture(path: Path) -> Painter:
+    """Return the painter of an image file."""
+    import cv2
+    import numpy as np
+
+    from dvsviz.simulate.scenes import picture
+
+    try:
+        image = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_GRAYSCALE)
+    except (OSError, cv2.error) as error:
+        raise DvsvizError("the picture cannot be read", path=path, hint="name a PNG or JPEG file") from error
+    if image is None:
+        raise DvsvizError("is not a picture", path=path, hint="name a PNG or JPEG file")
+    return picture(image.astype(np.uint8))
 
 
 def _camera(command: Simulate) -> Camera | None:

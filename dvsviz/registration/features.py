@@ -12,6 +12,7 @@ from typing import Literal
 
 import cv2
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from dvsviz.geometry.camera import Camera
@@ -83,26 +84,45 @@ def match(a: Features, b: Features, *, ratio: float | None = None) -> NDArray[np
     if len(a) < 2 or len(b) < 2:
         return np.zeros((0, 2), dtype=np.int64)
     limit = RATIO[a.kind] if ratio is None else ratio
-    d = _distances(a, b)
-    rows = np.arange(len(a))
-    nearest = np.argmin(d, axis=1)
-    best = d[rows, nearest]
-    second = np.partition(d, 1, axis=1)[:, 1]
-    is_mutual = np.argmin(d, axis=0)[nearest] == rows
-    keep = is_mutual & (best < limit * second)
-    return np.column_stack([rows[keep], nearest[keep]])
-
-
-def _distances(a: Features, b: Features) -> NDArray[np.float32]:
-    """Return the distances (N, M) of all descriptors."""
     if a.kind == "orb":
         # One matrix product counts the differing bits: |x| + |y| - 2 x·y over bits.
         x = np.unpackbits(a.descriptors, axis=1).astype(np.float32)
         y = np.unpackbits(b.descriptors, axis=1).astype(np.float32)
-        return x.sum(1)[:, None] + y.sum(1)[None] - 2 * (x @ y.T)
+        return _mutual_best(x @ y.T, x.sum(1), y.sum(1), np.float32(limit))
+    # Squared distances |x|² + |y|² - 2 x·y, and the ratio squared: no root of four million numbers.
     x, y = a.descriptors, b.descriptors
-    square = (x * x).sum(1)[:, None] + (y * y).sum(1)[None] - 2 * (x @ y.T)
-    return np.sqrt(np.maximum(square, 0))
+    return _mutual_best(x @ y.T, (x * x).sum(1), (y * y).sum(1), np.float32(limit * limit))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _mutual_best(products, size_a, size_b, ratio):
+    """Return pairs (M, 2) that are each other's nearest and nearer than `ratio` times a's second nearest.
+
+    The distance of i and j is `size_a[i] + size_b[j] - 2 products[i, j]`; of equal ones the first counts. One pass over
+    the products (N, M): looking for the smallest, the second and the column's smallest one by one takes four times as
+    long as the matrix product itself.
+    """
+    rows, columns = products.shape
+    nearest, best, second = np.empty(rows, np.int64), np.empty(rows, np.float32), np.empty(rows, np.float32)
+    back, back_best = np.zeros(columns, np.int64), np.full(columns, np.float32(np.inf))
+    for i in range(rows):
+        first, after, at = np.float32(np.inf), np.float32(np.inf), 0
+        for j in range(columns):
+            d = max(size_a[i] + size_b[j] - np.float32(2.0) * products[i, j], np.float32(0.0))
+            if d < after:
+                if d < first:
+                    first, after, at = d, first, j
+                else:
+                    after = d
+            if d < back_best[j]:
+                back_best[j], back[j] = d, i
+        nearest[i], best[i], second[i] = at, first, after
+    pairs, count = np.empty((rows, 2), np.int64), 0
+    for i in range(rows):
+        if back[nearest[i]] == i and best[i] < ratio * second[i]:
+            pairs[count, 0], pairs[count, 1] = i, nearest[i]
+            count += 1
+    return pairs[:count]
 
 
 def depth_at(frame: Frame, pixels: Array) -> Array:

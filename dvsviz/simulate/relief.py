@@ -2,7 +2,7 @@
 
 A box is its faces, a floor one large rectangle. Each rectangle is seen through a homography `u ~ H b` whose third row
 gives the inverse depth of the bearing `b`; the nearest one wins. Pixels whose corners see different rectangles are
-averaged over 4 x 4 rays, so that an edge that hides another surface moves smoothly, as light does.
+an average over 4 x 4 rays, so that an edge that hides another surface moves smoothly, as light does.
 """
 
 from __future__ import annotations
@@ -22,6 +22,8 @@ from dvsviz.simulate.texture import Texture
 Array = NDArray[np.float64]
 # Nearer surfaces are not seen, m.
 _NEAR = 0.02
+# Blocks along the side of a tile: what is not in view of a tile is not looked for in its blocks.
+_TILE = 4
 # Intensity where there is no surface.
 BACKGROUND = 0.3
 
@@ -84,6 +86,8 @@ class ReliefView:
         corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
         local = np.concatenate([self._limits[:, None] * corners, np.zeros((len(patches), 4, 1))], axis=-1)
         Ts = np.stack([p.T_world_patch for p in patches])
+        self._block_bounds = block_bounds(grid)
+        self._tile_blocks, self._tile_bounds = tiles_of(grid, self._block_bounds)
         self._corners_world = np.einsum("nij,nkj->nki", Ts[:, :3, :3], local) + Ts[:, None, :3, 3]
         self.forget()
 
@@ -128,9 +132,9 @@ class ReliefView:
         Hs, boxes, seen, areas = self._seen_from(T_world_camera)
         grid = self._grid
         render_relief(
-            grid.bearings, grid.block_bearings, grid.block_area, grid.columns, Hs, self._limits, boxes, seen,
-            self._texel, areas, self._data, self._offsets, self._shapes, self._last, self._last_hit, still_px,
-            BACKGROUND, image, active,
+            grid.bearings, grid.block_bearings, grid.block_area, self._block_bounds, self._tile_bounds,
+            self._tile_blocks, grid.columns, Hs, self._limits, boxes, seen, self._texel, areas, self._data,
+            self._offsets, self._shapes, self._last, self._last_hit, still_px, BACKGROUND, image, active,
         )  # fmt: skip
 
     def depth(self, T_world_camera: Array, bearings: NDArray | None = None) -> Array:
@@ -145,6 +149,24 @@ class ReliefView:
         out = np.empty(b.size // 2)
         depths(np.ascontiguousarray(b).reshape(-1, 2), Hs, self._limits, seen, out)
         return out.reshape(b.shape[:-1])
+
+
+def block_bounds(grid: PixelGrid) -> Array:
+    """Return the bearings (blocks, 4), (x0, y0, x1, y1), between which each block's pixels lie, corners included."""
+    # Corners of a block are pixel centres: its pixels reach one pixel further.
+    margin = 1.5 * np.sqrt(grid.block_area)[:, None]
+    return np.hstack([grid.block_bearings.min(axis=1) - margin, grid.block_bearings.max(axis=1) + margin])
+
+
+def tiles_of(grid: PixelGrid, bounds: Array) -> tuple[NDArray[np.int64], Array]:
+    """Return the blocks (tiles, n) of each tile, -1 for none, and the tiles' bounds (tiles, 4)."""
+    row, column = np.divmod(np.arange(len(bounds)), grid.columns)
+    tile = row // _TILE * -(-grid.columns // _TILE) + column // _TILE
+    blocks = np.full((tile[-1] + 1, _TILE * _TILE), -1, np.int64)
+    blocks[tile, row % _TILE * _TILE + column % _TILE] = np.arange(len(bounds))
+    known = (blocks >= 0)[..., None]
+    low = np.where(known, bounds[blocks, :2], np.inf).min(axis=1)
+    return blocks, np.hstack([low, np.where(known, bounds[blocks, 2:], -np.inf).max(axis=1)])
 
 
 def image_of(view: ReliefView, T_world_camera: Array, camera: Camera) -> NDArray[np.float32]:

@@ -15,14 +15,16 @@ from dvsviz.geometry.camera import Camera
 from dvsviz.geometry.trajectory import Trajectory
 from dvsviz.geometry.tum import seconds_text, write_tum
 from dvsviz.simulate.models.light import depth_image, intensity_image
-from dvsviz.simulate.paths import AnyMotion, make_path, make_scene
+from dvsviz.simulate.paths import AnyMotion, AnyScene, make_path, make_scene
 from dvsviz.simulate.relief import Relief, ReliefView, image_of
 from dvsviz.simulate.render import PixelGrid
-from dvsviz.simulate.rooms import ReliefName
+from dvsviz.simulate.simulate import wall_relief
 
 # Units a metre of the layout's depth images.
 DEPTH_SCALE = 5000.0
 _TRUTH_HZ = 100.0
+# Images that make one with an open shutter: at 1,000 px/s and 10 ms they are 0.6 px apart.
+_SHUTTER_PARTS = 16
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,28 +63,36 @@ def rgbd_camera() -> Camera:
 def simulate_rgbd(
     out: Path,
     *,
-    scene: ReliefName | Relief = "boxes",
+    scene: AnyScene = "boxes",
     motion: AnyMotion = "circle",
     seconds: float | None = None,
     seed: int = 1,
     camera: Camera | None = None,
     model: RgbdModel | None = None,
+    distance: float = 1.0,
+    tilt_deg: float = 5.0,
     rate_hz: float = 30.0,
+    exposure_s: float = 0.0,
     progress: Callable[[float], None] | None = None,
 ) -> None:
     """Write a folder: `rgb/`, `depth/`, `rgb.txt`, `depth.txt`, `groundtruth.txt` and `calib.txt`.
 
-    With the same scene, motion, duration and seed, `simulate` writes the events of the same flight.
+    With the same scene, motion, duration and seed, `simulate` writes the events of the same flight; of a wall, which is
+    painted as far and as finely as the camera sees it, with the same camera too.
 
     Args:
         out: the folder; made where it is missing.
-        scene: a scene with depth.
+        scene: a scene with depth, or what is on a wall.
         motion: of the camera: a name, a TUM file, or a function of time that gives poses.
         seconds: duration; None for the whole of a file or flight, 10 s of the others.
         seed: of everything random.
         camera: calibration; 640 x 480 with a focal length of 525 px where None.
         model: noise; `PERFECT` for none.
+        distance: metres to the wall along the world's z axis.
+        tilt_deg: angle between the wall and the world's image plane, in degrees, below 80.
         rate_hz: frames a second.
+        exposure_s: how long the shutter of the intensity images is open, their time in the middle: what moves is
+            blurred. Depth is measured in that instant.
         progress: called with the share done, 0 to 1.
 
     Raises:
@@ -91,21 +101,31 @@ def simulate_rgbd(
     """
     if not 0 < rate_hz <= 1000 or not (seconds is None or 0 < seconds <= 36_000):
         raise ValueError(f"rate_hz, seconds: expected 0 to 1000 and 0 to 36000, got {rate_hz}, {seconds}")
+    if not 0 <= exposure_s <= 1 / rate_hz:
+        raise ValueError(f"exposure_s: expected 0 to a frame's {1 / rate_hz:.4f} s, got {exposure_s}")
+    if not 0 < distance < 1e4 or not 0 <= tilt_deg < 80:
+        raise ValueError(
+            f"distance, tilt_deg: expected metres above 0 and 0 to 80 degrees, got {distance}, {tilt_deg}"
+        )
     camera = rgbd_camera() if camera is None else camera
     model = RgbdModel() if model is None else model
     rngs = [np.random.default_rng([seed, i]) for i in range(5)]
-    relief = make_scene(scene, rngs[1])
-    if not isinstance(relief, Relief):
-        raise ValueError(f"scene: expected one with depth, got {scene!r}")
-    path, seconds = make_path(motion, rngs[0], seconds, distance=1.0, relief=relief)
+    found = make_scene(scene, rngs[1])
+    relief = found if isinstance(found, Relief) else None
+    path, seconds = make_path(motion, rngs[0], seconds, distance=distance, relief=relief)
+    if not isinstance(found, Relief):
+        found = wall_relief(found, camera, path, seconds, rngs[1], distance=distance, tilt_deg=tilt_deg)
     t_us = np.round(np.arange(int(seconds * rate_hz + 1e-6) + 1) * 1e6 / rate_hz).astype(np.int64)
     names = [f"{seconds_text(int(t))}.png" for t in t_us]
-    view = ReliefView(PixelGrid.of(camera), relief)
+    view = ReliefView(PixelGrid.of(camera), found)
+    # Middles of equal parts of the exposure, within the motion's time.
+    open_s = exposure_s * ((np.arange(_SHUTTER_PARTS) + 0.5) / _SHUTTER_PARTS - 0.5) if exposure_s else np.zeros(1)
     try:
         for folder in ("rgb", "depth"):
             (out / folder).mkdir(parents=True, exist_ok=True)
-        for k, T in enumerate(path((t_us * 1e-6).astype(np.float64))):
-            grey, depth = _look(view, T, camera, model, rngs[4])
+        for k, t in enumerate((t_us * 1e-6).astype(np.float64)):
+            Ts = path(np.clip(t + open_s, 0, seconds))
+            grey, depth = _look(view, Ts, path(np.array([t]))[0], camera, model, rngs[4])
             _write_png(out / "rgb" / names[k], grey)
             _write_png(out / "depth" / names[k], depth)
             if progress is not None:
@@ -127,13 +147,14 @@ def simulate_rgbd(
 
 def _look(
     view: ReliefView,
+    Ts_open: NDArray[np.float64],
     T_world_camera: NDArray[np.float64],
     camera: Camera,
     model: RgbdModel,
     rng: np.random.Generator,
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
-    """Return the intensity and the depth image of a pose."""
-    light = image_of(view, T_world_camera, camera)
+    """Return the intensity image of the poses (N, 4, 4) while the shutter is open, and the depth image of a pose."""
+    light = np.mean([image_of(view, T, camera) for T in Ts_open], axis=0, dtype=np.float32)
     depth = depth_image(
         view.depth(T_world_camera),
         rng,

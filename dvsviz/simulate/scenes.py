@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Literal
 
+import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
@@ -184,6 +185,39 @@ def stripes(rng: np.random.Generator, bounds: Bounds, texel: float) -> Texture:
         fill_polygon(image, bar, INK, left=left, top=top, texel=texel)
         x += width + rng.uniform(0.02, 0.1)
     return make_texture(image, texel=texel, left=left, top=top)
+
+
+def picture(image: NDArray[np.uint8], *, width: float = 2.0) -> Painter:
+    """Return a painter of one's own image in the middle of the wall, mirrored beyond its borders.
+
+    Args:
+        image: grey values (rows, columns) with the gamma of a display, 2.2: light is their power.
+        width: of the image on the wall, m.
+    """
+    if image.ndim != 2 or min(image.shape) < 2:
+        raise ValueError(f"image: expected grey values (rows, columns), got {image.shape}")
+    # Black paper still reflects a little: the logarithm of the light has to be finite.
+    light = np.maximum((image / np.float32(255)) ** np.float32(2.2), np.float32(0.02)).astype(np.float32)
+
+    def paint_it(rng: np.random.Generator, bounds: Bounds, texel: float) -> Texture:
+        left, top, right, bottom = bounds
+        columns = max(round(width / texel), 2)
+        rows = max(round(columns * light.shape[0] / light.shape[1]), 2)
+        is_smaller = columns < light.shape[1]
+        scaled = cv2.resize(
+            light, (columns, rows), interpolation=cv2.INTER_AREA if is_smaller else cv2.INTER_LINEAR
+        )
+        across = _mirrored(int(np.ceil((right - left) / texel)), left / texel + columns / 2, columns)
+        down = _mirrored(int(np.ceil((bottom - top) / texel)), top / texel + rows / 2, rows)
+        return make_texture(scaled[np.ix_(down, across)], texel=texel, left=left, top=top)
+
+    return paint_it
+
+
+def _mirrored(count: int, first: float, size: int) -> NDArray[np.int64]:
+    """Return `count` indices into `size` texels from position `first` on, running back and forth beyond them."""
+    k = np.floor(first + np.arange(count) + 0.5).astype(np.int64) % (2 * size)
+    return np.where(k < size, k, 2 * size - 1 - k)
 
 
 def checkerboard(rng: np.random.Generator, bounds: Bounds, texel: float, *, square: float = 0.1) -> Texture:

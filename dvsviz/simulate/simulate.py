@@ -7,6 +7,7 @@ half a pixel of image motion. Everything follows from the seed: the same call wr
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,9 +24,10 @@ from dvsviz.simulate.inertial import GRAVITY_WORLD, ImuModel, simulate_imu
 from dvsviz.simulate.motion import Motion
 from dvsviz.simulate.panorama import PanoramaView
 from dvsviz.simulate.paths import AnyMotion, AnyScene, make_path, make_scene
-from dvsviz.simulate.relief import Relief, ReliefView
+from dvsviz.simulate.relief import Patch, Relief, ReliefView
 from dvsviz.simulate.render import BLOCK, PixelGrid, PlaneView
 from dvsviz.simulate.scenes import Bounds, Painter
+from dvsviz.simulate.texture import Texture
 
 Array = NDArray[np.float64]
 
@@ -287,10 +289,46 @@ def _view(
         high = float(np.abs(_heights(_directions(camera, Ts))).max()) + 0.1
         texture = painter(rng, (-half, -high, half, high), texel)
         return PanoramaView(grid, texture), Ts[:, :3, :3]
-    Hs = homographies(Ts, plane)
+    return PlaneView(grid, _painted(camera, plane, painter, Ts, distances, rng)), homographies(Ts, plane)
+
+
+def _painted(
+    camera: Camera, plane: Plane, painter: Painter, Ts: Array, distances: Array, rng: np.random.Generator
+) -> Texture:
+    """Return the texture of what is ever in view of a wall."""
     # Nearly two texels a pixel where the camera is near: an edge's place is then good to a few hundredths of a pixel.
-    texel *= float(np.percentile(distances, 5))
-    return PlaneView(grid, painter(rng, visible_bounds(camera, Hs), texel)), Hs
+    texel = 0.6 / max(camera.fx, camera.fy) * float(np.percentile(distances, 5))
+    return painter(rng, visible_bounds(camera, homographies(Ts, plane)), texel)
+
+
+def wall_relief(
+    painter: Painter,
+    camera: Camera,
+    path: Motion,
+    seconds: float,
+    rng: np.random.Generator,
+    *,
+    distance: float,
+    tilt_deg: float,
+) -> Relief:
+    """Return the wall that `simulate` paints for the same arguments as a scene with depth: one rectangle."""
+    plane = wall(distance, tilt_deg)
+    coarse_s = np.linspace(0, seconds, int(np.ceil(seconds * 1000)) + 1)
+    distances = _distances(path(coarse_s), plane)
+    if distances.min() < 0.02 * distance:
+        raise ValueError(f"motion: the camera comes within {distances.min():.3f} m of the wall")
+    times = step_times(image_speed(path, camera, plane, coarse_s), coarse_s)
+    texture = _painted(camera, plane, painter, path(times), distances, rng)
+    R = rotation_to_map(plane.normal).T
+    corner = R @ np.array([texture.left, texture.top, plane.distance])
+    rows, columns = texture.image.shape
+    patch = Patch(
+        T_world_patch=se3.pose(R, corner),
+        width=columns * texture.texel,
+        height=rows * texture.texel,
+        texture=replace(texture, left=0.0, top=0.0),
+    )
+    return Relief(patches=(patch,), T_world_hand=np.eye(4), gravity_world=GRAVITY_WORLD, has_floor=False)
 
 
 def _directions(camera: Camera, Ts: Array) -> Array:

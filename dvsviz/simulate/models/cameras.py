@@ -40,6 +40,26 @@ def pinhole_jacobians(T_world_camera: ArrayLike, camera: Camera, m: ArrayLike) -
     return through_position(np.array([[camera.fx], [camera.fy]]) * local, T_world_camera, m)
 
 
+def spherical(T_world_camera: ArrayLike, m: ArrayLike) -> Array:
+    """Return the directions `z = π_s(R^T (m - p))` (..., 3), `π_s(x) = x / |x|`: points on a sphere, behind too.
+
+    Args:
+        T_world_camera: poses (..., 4, 4).
+        m: points (..., 3) in the world; NaN is returned for one at the camera's centre.
+    """
+    p = position(T_world_camera, m)
+    length = np.linalg.norm(p, axis=-1, keepdims=True)
+    return np.where(length > 0, p / np.where(length > 0, length, 1.0), np.nan)
+
+
+def spherical_jacobians(T_world_camera: ArrayLike, m: ArrayLike) -> Jacobians:
+    """Return the Jacobians of `spherical` (..., 3, 6) and (..., 3, 3): `(I - z z^T) / |x|` through the position."""
+    z = spherical(T_world_camera, m)
+    length = np.linalg.norm(position(T_world_camera, m), axis=-1)[..., None, None]
+    across = (np.eye(3) - z[..., :, None] * z[..., None, :]) / length
+    return through_position(across, T_world_camera, m)
+
+
 def distortion_jacobian(camera: Camera, bearings: ArrayLike) -> Array:
     """Return the derivative (..., 2, 2) of the distorted bearing by the ideal one (..., 2)."""
     b = np.asarray(bearings, dtype=np.float64)
