@@ -21,7 +21,7 @@ SAID = {
 # What takes long has a short version.
 OPTIONS = {
     "04_registration_study": ["--quick"],
-    "05_events_and_frames": ["--motion", "handheld", "--seconds", "0.5", "--skips", "5"],
+    "05_events_and_frames": ["--motion", "handheld", "--seconds", "0.4", "--skips", "3"],
 }
 
 
