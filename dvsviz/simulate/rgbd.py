@@ -154,7 +154,7 @@ def _look(
     rng: np.random.Generator,
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
     """Return the intensity image of the poses (N, 4, 4) while the shutter is open, and the depth image of a pose."""
-    light = np.mean([image_of(view, T, camera) for T in Ts_open], axis=0, dtype=np.float32)
+    light = np.asarray(np.mean([image_of(view, T, camera) for T in Ts_open], axis=0), dtype=np.float32)
     depth = depth_image(
         view.depth(T_world_camera),
         rng,

@@ -209,7 +209,8 @@ def picture(image: NDArray[np.uint8], *, width: float = 2.0) -> Painter:
         )
         across = _mirrored(int(np.ceil((right - left) / texel)), left / texel + columns / 2, columns)
         down = _mirrored(int(np.ceil((bottom - top) / texel)), top / texel + rows / 2, rows)
-        return make_texture(scaled[np.ix_(down, across)], texel=texel, left=left, top=top)
+        shown = np.asarray(scaled[np.ix_(down, across)], dtype=np.float32)
+        return make_texture(shown, texel=texel, left=left, top=top)
 
     return paint_it
 
