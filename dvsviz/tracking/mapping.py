@@ -6,7 +6,7 @@ all three together.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -23,6 +23,7 @@ from dvsviz.tracking.refining import Refiner, Revised
 from dvsviz.tracking.traces import Trace, add_to_map
 
 Array = NDArray[np.float64]
+Sampled = tuple[NDArray[np.float32], Array]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -100,13 +101,21 @@ class Mapper:
         """Keep a window that must not write the map."""
         self.traces.append(replace(trace, is_trusted=False))
 
-    def add(self, trace: Trace, image: NDArray[np.float32], overlap: float) -> int:
-        """Write a window to the map; return its keyframe number, or -1."""
+    def add(self, trace: Trace, image: NDArray[np.float32], overlap: float, densely: Callable[[], Sampled]) -> int:
+        """Write a window to the map; return its keyframe number, or -1.
+
+        Args:
+            trace: the window.
+            image: of its warped events, for a keyframe's picture.
+            overlap: with the map.
+            densely: gives the events that a keyframe keeps.
+        """
         add_to_map(self.live_map, trace, self._sensor, self.camera.matrix)
         number = -1
         if self._is_keyframe(trace, overlap):
             number = len(self.keyframes)
-            trace = replace(trace, keyframe=number)
+            bearings, t_s = densely()
+            trace = replace(trace, keyframe=number, bearings=bearings, t_s=t_s)
             top = float(np.percentile(image[image > 0], 98)) if (image > 0).any() else 1.0
             shown = (np.clip(image / max(top, 1e-6), 0, 1) * 255).astype(np.uint8)
             keyframe = Keyframe(

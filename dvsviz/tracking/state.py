@@ -6,7 +6,7 @@ Sampled events are not stored: they are drawn again from the recording, window b
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,10 +20,11 @@ from dvsviz.session.records import STATUSES, Keyframe, Status
 from dvsviz.tracking import constants as c
 from dvsviz.tracking.mapping import Mapper
 from dvsviz.tracking.planar_map import PlanarMap
+from dvsviz.tracking.prediction import MotionFilter
 from dvsviz.tracking.traces import Trace
 
 Array = NDArray[np.float64]
-_VERSION = 2
+_VERSION = 3
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
@@ -40,6 +41,7 @@ class Motion:
         good_score: running score of good windows.
         size: events wanted for the next window.
         searches: relocalizations tried since it was lost.
+        filter: how sure pose and velocity are.
     """
 
     T_world_camera: Array
@@ -51,6 +53,7 @@ class Motion:
     good_score: float
     size: float
     searches: int = 0
+    filter: MotionFilter = field(default_factory=MotionFilter)
 
     def resize(self, displacement_px: float, wanted_px: float, most: int) -> None:
         """Move the window size towards the wanted image displacement, up to `most` events."""
@@ -81,6 +84,8 @@ def pack(motion: Motion, mapper: Mapper) -> dict[str, np.ndarray]:
         "T_world_camera": motion.T_world_camera,
         "omega": motion.omega,
         "velocity": motion.velocity,
+        "covariance": motion.filter.covariance,
+        "density": motion.filter.density.copy(),
         "numbers": np.array([motion.good_score, motion.size]),
         "counters": np.array(
             [
@@ -194,6 +199,7 @@ def unpack(
             status=STATUSES[status],
             bad_windows=bad,
             searches=searches,
+            filter=MotionFilter(covariance=np.array(state["covariance"]), density=np.array(state["density"])),
             good_score=float(state["numbers"][0]),
             size=float(state["numbers"][1]),
         )
@@ -210,7 +216,7 @@ def _trace(integers: np.ndarray, T: Array, speeds: Array, camera: Camera, seed: 
         first_event=first,
         end_us=start_us + duration_us,
     )
-    bearings, t_s = sample_window(events, c.TRACE_EVENTS, seed)
+    bearings, t_s = sample_window(events, c.TRACE_EVENTS if keyframe < 0 else c.KEYFRAME_EVENTS, seed)
     return Trace(
         window=window,
         first_event=first,

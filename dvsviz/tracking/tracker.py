@@ -36,6 +36,7 @@ from dvsviz.tracking.failures import FailureWatch, cause_of
 from dvsviz.tracking.judging import judge
 from dvsviz.tracking.mapping import Mapper
 from dvsviz.tracking.measure import measure
+from dvsviz.tracking.prediction import difference
 from dvsviz.tracking.relocalize import relocalize
 from dvsviz.tracking.state import Motion, pack, unpack
 from dvsviz.tracking.traces import Trace
@@ -94,6 +95,8 @@ class Tracker:
         note = ""
         if self._relief is not None and (self._relief.is_asked or self._drifts):
             note = self._relief.look(window)
+            if self._relief.not_a_plane and not self._is_uneven:
+                note = ""
             if note and self._drifts:
                 self._mapper.tell_refined(self._relief.poses)
         relief = self._relief if self._drifts else None
@@ -131,7 +134,12 @@ class Tracker:
             self._failures.look_closer(trace, self._contrast(window), self.camera.focal_px)
         keyframe = -1
         if judged.is_trusted or (alignment is None and self._motion.status is Status.INITIALIZING):
-            keyframe = self._mapper.add(trace, images.warped, overlap)
+            keyframe = self._mapper.add(
+                trace,
+                images.warped,
+                overlap,
+                lambda: sample_window(window, c.KEYFRAME_EVENTS, self.config.seed),
+            )
         elif self._motion.status is Status.WEAK:
             self._mapper.remember(trace)
         if relief is None:
@@ -199,7 +207,10 @@ class Tracker:
 
     @property
     def _is_uneven(self) -> bool:
-        return self._relief is not None and bool(self._relief.not_a_plane)
+        if self._relief is None or not self._relief.not_a_plane:
+            return False
+        # Where it is only told, small windows show little of a depth: the map must not fit well either.
+        return self.config.motion != "planar" or self._motion.good_score < c.RELIEF_TOLD_SCORE
 
     def place(self, T_world_camera: Array) -> None:
         """Start the next window from a given pose, as after a loss: weak, standing still, until the map agrees.
@@ -210,6 +221,7 @@ class Tracker:
         motion = self._motion
         motion.T_world_camera = np.array(T_world_camera, dtype=np.float64)
         motion.omega, motion.velocity = np.zeros(3), np.zeros(3)
+        motion.filter.forget()
         motion.bad_windows, motion.searches = 0, 0
         if self._mapper.map is not None:
             motion.status = Status.WEAK
@@ -250,7 +262,7 @@ class Tracker:
     def _follow(
         self, window: EventWindow, sampled: tuple[NDArray[np.float32], Array], mid_us: int
     ) -> tuple[Trace, Alignment]:
-        """Return the window aligned with the map from a constant-velocity prediction."""
+        """Return the window aligned with the map from where the filter predicts it."""
         dt = max(1e-6, (mid_us - self._motion.t_us) * 1e-6)
         # Through a gap without events the camera stood still: the velocity is not carried across it.
         dt_predict = min(dt, 2e-3 * self.config.max_window_ms)
@@ -262,15 +274,16 @@ class Tracker:
         mid_s = (mid_us - window.start_us) * 1e-6
         # Where tracking is well the coarsest level has nothing to find; it is asked where the fit is poor.
         first = 1 if self._motion.status is Status.TRACKING else 0
-        alignment = self._align(sampled, mid_s, predicted, omega, velocity, first_level=first)
+        if dt > dt_predict:
+            self._motion.filter.forget()
+        prior = self._motion.filter.predict(dt_predict) * c.FILTER_CORRELATED
+        alignment = self._align(sampled, mid_s, predicted, omega, velocity, prior, first_level=first)
         if first > 0 and self._agreed(alignment) < c.WEAK_RATIO * self._motion.good_score:
-            wider = self._align(sampled, mid_s, predicted, omega, velocity)
+            wider = self._align(sampled, mid_s, predicted, omega, velocity, None)
             alignment = max(alignment, wider, key=self._agreed)
         T = alignment.T_world_camera
-        measured_omega = se3.log_so3(self._motion.T_world_camera[:3, :3].T @ T[:3, :3]) / dt
-        measured_velocity = T[:3, :3].T @ (T[:3, 3] - self._motion.T_world_camera[:3, 3]) / dt
-        self._motion.omega = omega + c.VELOCITY_GAIN * (measured_omega - omega)
-        self._motion.velocity = velocity + c.VELOCITY_GAIN * (measured_velocity - velocity)
+        change = self._motion.filter.correct(difference(predicted, T), alignment.information, dt_predict)
+        self._motion.omega, self._motion.velocity = omega + change[:3], velocity + change[3:]
         return self._trace(window, sampled, mid_us, T), alignment
 
     def _agreed(self, alignment: Alignment) -> float:
@@ -286,6 +299,7 @@ class Tracker:
         T: Array,
         omega: Array,
         velocity: Array,
+        prior: Array | None,
         *,
         first_level: int = 0,
     ) -> Alignment:
@@ -303,6 +317,7 @@ class Tracker:
             velocity,
             focal_px=self.camera.focal_px,
             free=self._free,
+            prior=prior,
             anchored=c.ANCHOR**-2 if self._motion.status is Status.INITIALIZING else 0.0,
             first_level=first_level,
         )
@@ -323,6 +338,7 @@ class Tracker:
     ) -> tuple[Trace, Alignment | None, str]:
         """Return the window placed by relocalization, or where it was last seen."""
         self._motion.status = Status.LOST
+        self._motion.filter.forget()
         if mid_us - self._motion.t_us < c.RELOCALIZE_EVERY_US * self._motion.searches:
             return self._trace(window, sampled, mid_us, self._motion.T_world_camera), None, ""
         self._motion.searches += 1
@@ -348,7 +364,9 @@ class Tracker:
             near = found.score > 0.5 * c.RELOCALIZE_SCORE * self._motion.good_score
             self._motion.status = Status.RELOCALIZING if near else Status.LOST
             return trace, None, ""
-        alignment = self._align(sampled, mid_s, found.T_world_camera, self._motion.omega, self._motion.velocity)
+        alignment = self._align(
+            sampled, mid_s, found.T_world_camera, self._motion.omega, self._motion.velocity, None
+        )
         since_s = (mid_us - self._motion.t_us) * 1e-6
         self._failures.found_again(self._motion.T_world_camera, alignment.T_world_camera, since_s)
         self._motion.status = Status.TRACKING
