@@ -9,7 +9,8 @@ from typing import Any, Literal, Self, get_args, get_type_hints
 from dvsviz.errors import ConfigError
 
 Motion = Literal["planar", "translation", "rotation", "auto"]
-Objective = Literal["variance", "gradient"]
+Mode = Literal["map", "contrast"]
+Objective = Literal["variance", "gradient", "highpass", "michelson"]
 
 
 def _is_whole(value: object) -> bool:
@@ -27,6 +28,9 @@ class TrackerConfig:
     Attributes:
         motion: `planar` (6-DoF in front of a plane), `translation` (no rotation), `rotation` (no translation),
             `auto` (planar; where the first windows show that the scene is no plane, translation before a relief).
+        mode: `map` (Gauss-Newton on the edge map), `contrast` (contrast maximization all through: slower, the reference).
+        objective: what sharp means wherever contrast is maximised: `variance`, `gradient` (mean squared), and for study
+            `highpass` and `michelson`.
         window: events a window; None lets the image motion choose.
         max_window_ms: a window also ends after this time.
         plane_distance: metres from the first camera to the plane, for metric output; None leaves d = 1.
@@ -34,14 +38,21 @@ class TrackerConfig:
     """
 
     motion: Motion = "planar"
+    mode: Mode = "map"
+    objective: Objective = "variance"
     window: int | None = None
     max_window_ms: float = 100.0
     plane_distance: float | None = None
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if self.motion not in get_args(Motion):
-            raise ConfigError(f"motion: expected one of {', '.join(get_args(Motion))}, got {self.motion!r}")
+        for name, value, choices in (
+            ("motion", self.motion, get_args(Motion)),
+            ("mode", self.mode, get_args(Mode)),
+            ("objective", self.objective, get_args(Objective)),
+        ):
+            if value not in choices:
+                raise ConfigError(f"{name}: expected one of {', '.join(choices)}, got {value!r}")
         for name, value in (("max_window_ms", self.max_window_ms), ("plane_distance", self.plane_distance)):
             if not _is_number(value) and not (name == "plane_distance" and value is None):
                 raise ConfigError(f"{name}: expected a number, got {value!r}")

@@ -14,7 +14,7 @@ from scipy.optimize import minimize
 
 from dvsviz.contrast import kernels
 from dvsviz.contrast.iwe import vote, warp_points
-from dvsviz.contrast.objectives import Objective, ObjectiveName, objective
+from dvsviz.contrast.objectives import Image, Objective, ObjectiveName, objective
 from dvsviz.contrast.warp import window_warp
 from dvsviz.geometry.camera import Camera
 from dvsviz.geometry.plane import Plane, turn_normal, turn_normal_derivative
@@ -41,12 +41,17 @@ _NORMAL_SCALE = 0.05
 class ContrastProblem:
     """Value and gradient of the contrast of one window as a function of its motion.
 
+    Alone, a window is warped onto its camera's image, a blank canvas. With a map it is warped onto the map's grid
+    (eq. 2.11) and added to its texture: the joint contrast of map and window (section 2.2.2).
+
     Attributes:
         bearings: (N, 2) float32.
         t_s: seconds since the first event (N,).
         weights: s_k (N,) float32, ±1 or (1,) for one weight.
-        camera: gives the image grid.
+        camera: gives the image grid and the size of a step.
         duration_s: length of the window.
+        target: projection P (3, 3) from bearings at the first event to the pixels of `texture`; K where None.
+        texture: what the events are added to (rows, columns); a blank image of the camera's size where None.
     """
 
     bearings: NDArray[np.float32]
@@ -54,14 +59,16 @@ class ContrastProblem:
     weights: NDArray[np.float32]
     camera: Camera
     duration_s: float
+    target: Array | None = None
+    texture: Image | None = None
 
     def evaluate(
         self, omega: Array, velocity: Array, plane: Plane, cost: Objective, *, d_normal: Array | None = None
     ) -> tuple[float, Array]:
         """Return the contrast and its gradient (6,) by omega and velocity, (8,) with the normal's parameters."""
-        warp = window_warp(omega, velocity, plane, self.duration_s, self.camera.matrix, d_normal=d_normal)
+        warp = window_warp(omega, velocity, plane, self.duration_s, self._projection, d_normal=d_normal)
         points = warp_points(self.bearings, self.t_s, warp)
-        value, adjoint_image = cost(vote(points, self.weights, (self.camera.height, self.camera.width)))
+        value, adjoint_image = cost(self._image(points))
         adjoint = np.zeros_like(warp.nodes)
         kernels.gather(
             self.bearings, self.t_s, self.weights, points, adjoint_image, warp.nodes, warp.scale, adjoint
@@ -70,9 +77,19 @@ class ContrastProblem:
 
     def contrast(self, omega: Array, velocity: Array, plane: Plane, cost: Objective) -> float:
         """Return the contrast alone."""
-        warp = window_warp(omega, velocity, plane, self.duration_s, self.camera.matrix, derivatives=False)
-        points = warp_points(self.bearings, self.t_s, warp)
-        return cost(vote(points, self.weights, (self.camera.height, self.camera.width)))[0]
+        warp = window_warp(omega, velocity, plane, self.duration_s, self._projection, derivatives=False)
+        return cost(self._image(warp_points(self.bearings, self.t_s, warp)))[0]
+
+    @property
+    def _projection(self) -> Array:
+        return self.camera.matrix if self.target is None else self.target
+
+    def _image(self, points: NDArray[np.float32]) -> Image:
+        if self.texture is None:
+            return vote(points, self.weights, (self.camera.height, self.camera.width))
+        image = self.texture.copy()
+        kernels.vote(points, self.weights, image)
+        return image
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -110,6 +127,7 @@ def maximize_contrast(
     blurs_px: tuple[float, ...] = _BLURS_PX,
     max_evaluations: int = 60,
     ridge: float = 0.0,
+    prior: Array | None = None,
 ) -> ContrastSolution:
     """Return the motion that maximises the contrast, coarse to fine, by L-BFGS on scaled parameters.
 
@@ -124,7 +142,9 @@ def maximize_contrast(
         blurs_px: Gaussian blurs of the stages.
         max_evaluations: limit a stage.
         ridge: penalty of the motion per squared px of displacement, in units of the contrast without motion: decides
-            between motions that look alike (rotation about y, motion along x) in favour of the smaller one.
+            between motions that look alike (rotation about y, motion along x) in favour of the smaller one. The normal
+            is held as gently to its start.
+        prior: motion (6,) from which the ridge counts; none unless given.
     """
     mask = np.ones(6, dtype=bool) if free is None else np.asarray(free, dtype=bool)
     x = np.concatenate([np.zeros(3) if omega is None else omega, np.zeros(3) if velocity is None else velocity])
@@ -134,8 +154,10 @@ def maximize_contrast(
     duration = max(problem.duration_s, 1e-6)
     scale = np.full(6, 1.0 / (f * duration))
     scale[3:] *= plane.distance
+    centre = np.zeros(6) if prior is None else np.asarray(prior, dtype=np.float64)
     count = int(mask.sum())
     evaluations, converged = 0, True
+    tilted = np.zeros(2)
     for blur in blurs_px:
         cost = objective(name, blur)
         still, _ = problem.evaluate(np.zeros(3), np.zeros(3), plane, cost)
@@ -149,6 +171,7 @@ def maximize_contrast(
             held: float = held,
             normal: Array = normal,
             x: Array = x,
+            tilted: Array = tilted,
         ) -> tuple[float, Array]:
             trial = x.copy()
             trial[mask] += z[:count] * scale[mask]
@@ -161,9 +184,15 @@ def maximize_contrast(
                 d_normal=turn_normal_derivative(normal, delta) if with_normal else None,
             )
             slope = np.concatenate([slope[:6][mask] * scale[mask], slope[6:] * _NORMAL_SCALE])
-            motion = trial[mask] / scale[mask]
+            motion = (trial - centre)[mask] / scale[mask]
             slope[:count] -= 2 * held * reference * motion
-            return -value / reference + held * float(motion @ motion), -slope / reference
+            penalty = held * float(motion @ motion)
+            if with_normal and ridge > 0:
+                # Turning by delta after a turn by `tilted`: their sum, to first order.
+                tilt = tilted + z[count:]
+                slope[count:] -= 2 * ridge * reference * tilt
+                penalty += ridge * float(tilt @ tilt)
+            return -value / reference + penalty, -slope / reference
 
         found = minimize(
             negative,
@@ -180,6 +209,7 @@ def maximize_contrast(
         x[mask] += found.x[:count] * scale[mask]
         if with_normal:
             normal = turn_normal(normal, found.x[count:] * _NORMAL_SCALE)
+            tilted = tilted + found.x[count:]
     final = objective(name, blurs_px[-1])
     solved = Plane(normal=normal, distance=plane.distance)
     return ContrastSolution(

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from dvsviz.contrast.kernels import node_count, node_times
 from dvsviz.geometry import se3
-from dvsviz.geometry.plane import Plane, rotation_to_map
+from dvsviz.geometry.plane import Plane, rotation_to_map, rotation_to_map_derivative
 
 Array = NDArray[np.float64]
 
@@ -136,3 +136,53 @@ def map_warp(
         d_nodes[i] = nodes @ se3.hat(E[:, i, :]) + by_position(turned)
         d_nodes[3 + i] = by_position(np.broadcast_to(R0[:, i], (len(t), 3)))
     return Warp(nodes=nodes, scale=scale, d_nodes=d_nodes)
+
+
+def keyframe_warp(
+    T_world_camera: Array,
+    omega: Array,
+    velocity: Array,
+    plane_world: Plane,
+    duration_s: float,
+    target: Array,
+    d_normal: Array,
+) -> Warp:
+    """Return the warp of a keyframe's events onto the map's plane (eq. 2.11) with the derivatives of section 2.2.3.
+
+    Parameters, in order: rotation (3) and position (3) as in `map_warp`, omega (3), velocity (3), and those of the
+    normal, which turns the plane under the camera and the map's frame (eq. 2.12, 2.13) with it.
+
+    Args:
+        T_world_camera: pose (4, 4) at the first event.
+        omega: angular velocity (3,), rad/s, camera frame at the first event.
+        velocity: linear velocity (3,), camera frame at the first event.
+        plane_world: the map's plane.
+        duration_s: length of the window.
+        target: affine map (3, 3) from plane coordinates (u, v, 1) to target pixels.
+        d_normal: derivative (3, Q) of the unit normal by its parameters.
+    """
+    posed = map_warp(T_world_camera, omega, velocity, plane_world, 0.0, duration_s, target)
+    t = np.arange(len(posed.nodes)) / posed.scale
+    R0, p0 = T_world_camera[:3, :3], T_world_camera[:3, 3]
+    n, d = plane_world.normal, plane_world.distance
+    flat = np.array([[1.0], [1.0], [d]])
+    E = se3.exp_so3(np.multiply.outer(t, omega))
+    R = R0 @ E
+    position = p0 + (t[:, None] * velocity) @ R0.T
+    n_c, d_c = n @ R, d + position @ n
+    PM = target @ (rotation_to_map(n) / flat)
+    onto = d_c[:, None, None] * R - position[:, :, None] * n_c[:, None, :]
+    J = se3.left_jacobian_so3(np.multiply.outer(t, omega))
+    d_nodes = np.empty((12 + d_normal.shape[1], *posed.nodes.shape))
+    d_nodes[:6] = posed.d_nodes
+    for i in range(3):
+        # dE = (J_l e_i t)^ E, under (d_c I - p n^T).
+        turned = R0 @ (se3.hat(J[:, :, i] * t[:, None]) @ E)
+        d_nodes[6 + i] = PM @ (d_c[:, None, None] * turned - position[:, :, None] * (n @ turned)[:, None, :])
+        moved = np.multiply.outer(t, R0[:, i])
+        d_nodes[9 + i] = PM @ ((moved @ n)[:, None, None] * R - moved[:, :, None] * n_c[:, None, :])
+    for i, axis in enumerate(d_normal.T):
+        frame = target @ (rotation_to_map_derivative(n, axis) / flat)
+        under = (position @ axis)[:, None, None] * R - position[:, :, None] * (axis @ R)[:, None, :]
+        d_nodes[12 + i] = frame @ onto + PM @ under
+    return Warp(nodes=posed.nodes, scale=posed.scale, d_nodes=d_nodes)

@@ -60,6 +60,14 @@ def _rotation_to_map(normal_world: tuple[float, ...]) -> Array:
     return R
 
 
+def rotation_to_map_derivative(normal_world: Array, d_normal: Array) -> Array:
+    """Return the derivative (3, 3) of `rotation_to_map` as the normal moves along `d_normal` (3,)."""
+    z = np.array([0.0, 0.0, -1.0])
+    c, dc = 1.0 + normal_world @ z, d_normal @ z
+    K, dK = se3.hat(np.cross(normal_world, z)), se3.hat(np.cross(d_normal, z))
+    return dK + (dK @ K + K @ dK) / c - (dc / c**2) * (K @ K)
+
+
 def tangent_basis(normal: Array) -> Array:
     """Return two unit vectors (3, 2) that span the tangent plane of S² at `normal`, without singularity.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from dvsviz.contrast.objectives import ObjectiveName
 from dvsviz.contrast.solve import ContrastProblem, ContrastSolution, maximize_contrast
 from dvsviz.events.windows import EventWindow
 from dvsviz.geometry.camera import Camera
@@ -16,7 +17,14 @@ AHEAD = np.array([0.0, 0.0, -1.0])
 
 
 def motion_by_contrast(
-    camera: Camera, window: EventWindow, plane: Plane, free: NDArray[np.bool_], seed: int
+    camera: Camera,
+    window: EventWindow,
+    plane: Plane,
+    free: NDArray[np.bool_],
+    seed: int,
+    *,
+    name: ObjectiveName = "variance",
+    with_normal: bool = False,
 ) -> ContrastSolution:
     """Return the motion of a window from a zero start, of a sample of its events.
 
@@ -26,6 +34,8 @@ def motion_by_contrast(
         plane: in the camera frame; the plane ahead is taken where the camera is too close to it.
         free: mask (6,) over rotation and translation.
         seed: of the dither.
+        name: the objective.
+        with_normal: also find the plane's normal (8 parameters).
     """
     step = max(1, len(window) // c.CONTRAST_EVENTS)
     signs = np.where(window.events.is_positive, np.float32(1), np.float32(-1))[::step]
@@ -43,6 +53,8 @@ def motion_by_contrast(
         problem,
         plane if plane.distance > c.PLANE_TOO_NEAR else Plane(normal=AHEAD),
         free=free,
+        with_normal=with_normal,
+        name=name,
         ridge=c.CONTRAST_RIDGE,
         blurs_px=c.CONTRAST_BLURS_PX,
         max_evaluations=c.CONTRAST_EVALUATIONS,

@@ -230,3 +230,22 @@ FAILURE_WEAK_WINDOWS: Final = 3
 
 # Distance to the plane (plane distances) below which a pose is not believed as a start for a motion by contrast.
 PLANE_TOO_NEAR: Final = 0.05
+
+# --- mode contrast ------------------------------------------------------------------------------------------
+# Blurs (px) and evaluations of each stage of a window: alone from the last velocity, then with the map.
+STAGE_BLURS_PX: Final = (2.0, 1.0)
+STAGE_EVALUATIONS: Final = 12
+# Penalty per squared px that a window's motion leaves its prediction, in units of its contrast.
+STAGE_RIDGE: Final = 1e-3
+# Strength of the map's edges in the joint image, by that of the window's own.
+STAGE_TEXTURE: Final = 1.0
+# Cells around a window's place on the map.
+STAGE_MARGIN_PX: Final = 16
+# The joint refinement of all keyframes: blurs (cells), evaluations of each, penalty per squared px of a keyframe.
+JOINT_BLURS_PX: Final = (2.0, 1.0)
+JOINT_EVALUATIONS: Final = 40
+JOINT_RIDGE: Final = 1e-4
+# Most keyframes in one joint refinement.
+JOINT_MAX_VIEWS: Final = 40
+# Share of a new keyframe's edge pixels that the others must explain after the refinement.
+JOINT_OVERLAP: Final = 0.5

@@ -63,6 +63,7 @@ class Mapper:
         self.revision = -1
         self.tried_at = 0
         self.job: Job | None = None
+        self.must_relocalize = False
         self._refiner = Refiner(camera=camera, free=free, solve_normal=solve_normal)
         self._image_size = image_size
         self._sensor = (camera.height, camera.width)

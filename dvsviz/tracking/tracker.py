@@ -31,10 +31,11 @@ from dvsviz.session.records import Status, TrackerUpdates, WindowResult
 from dvsviz.tracking import constants as c
 from dvsviz.tracking import diagnose
 from dvsviz.tracking.align import Alignment, align, free_parameters
-from dvsviz.tracking.bootstrap import AHEAD, motion_by_contrast
+from dvsviz.tracking.bootstrap import motion_by_contrast
+from dvsviz.tracking.by_contrast import follow_by_contrast
 from dvsviz.tracking.failures import FailureWatch, cause_of
 from dvsviz.tracking.judging import judge
-from dvsviz.tracking.mapping import Mapper
+from dvsviz.tracking.keyframe_map import mapper_of
 from dvsviz.tracking.measure import measure
 from dvsviz.tracking.prediction import difference
 from dvsviz.tracking.relocalize import relocalize
@@ -62,12 +63,7 @@ class Tracker:
         self._most_events = round(c.WINDOW_EVENTS_MAX * max(1.0, camera.width * camera.height / c.WINDOW_PIXELS))
         self.config = config or TrackerConfig()
         self._free = free_parameters(self.config.motion)
-        self._mapper = Mapper(
-            self.camera,
-            self._free,
-            (camera.width, camera.height),
-            solve_normal=self.config.motion in ("planar", "auto"),
-        )
+        self._mapper = mapper_of(self.config, self.camera, self._free, (camera.width, camera.height))
         self._motion = Motion.start()
         self.stretch = 1.0
         self._failures = FailureWatch()
@@ -144,6 +140,8 @@ class Tracker:
             self._mapper.remember(trace)
         if relief is None:
             trace = self._mapper.advance(trace)
+        if self._mapper.must_relocalize:
+            self._mapper.must_relocalize, self._motion.status = False, Status.LOST
         if self._motion.status not in (Status.LOST, Status.RELOCALIZING):
             self._motion.T_world_camera, self._motion.omega, self._motion.velocity = (
                 trace.T_world_camera,
@@ -247,7 +245,10 @@ class Tracker:
 
     def _contrast(self, window: EventWindow) -> ContrastSolution:
         plane = self._mapper.plane.seen_from(self._motion.T_world_camera)
-        return motion_by_contrast(self.camera, window, plane, self._free, self.config.seed)
+        # In mode contrast the first window finds the plane too: 8 parameters.
+        first = self.config.mode == "contrast" and self._mapper.map is None and bool(self._free[3:].all())
+        name, seed = self.config.objective, self.config.seed
+        return motion_by_contrast(self.camera, window, plane, self._free, seed, name=name, with_normal=first)
 
     def _start(self, window: EventWindow, sampled: tuple[NDArray[np.float32], Array], mid_us: int) -> Trace:
         """Return the first window's trace: its pose is the identity, its motion found by contrast alone."""
@@ -256,13 +257,18 @@ class Tracker:
         T = se3.propagate(np.eye(4), solution.omega, solution.velocity, mid_s)
         R_mid_start = se3.exp_so3(solution.omega * mid_s).T
         self._motion.omega, self._motion.velocity = solution.omega, R_mid_start @ solution.velocity
-        self._mapper.begin(Plane(normal=AHEAD))
+        self._mapper.begin(Plane(normal=solution.normal))
         return self._trace(window, sampled, mid_us, T)
 
     def _follow(
         self, window: EventWindow, sampled: tuple[NDArray[np.float32], Array], mid_us: int
     ) -> tuple[Trace, Alignment]:
         """Return the window aligned with the map from where the filter predicts it."""
+        if self.config.mode == "contrast":
+            found = follow_by_contrast(
+                self.camera, self.config, self._free, self._motion, self._mapper.live_map, window, sampled, mid_us
+            )
+            return self._trace(window, sampled, mid_us, found.T_world_camera), found
         dt = max(1e-6, (mid_us - self._motion.t_us) * 1e-6)
         # Through a gap without events the camera stood still: the velocity is not carried across it.
         dt_predict = min(dt, 2e-3 * self.config.max_window_ms)
