@@ -28,7 +28,7 @@ class TrackerConfig:
     Attributes:
         motion: `planar` (6-DoF in front of a plane), `translation` (no rotation), `rotation` (no translation),
             `auto` (planar; where the first windows show that the scene is no plane, translation before a relief).
-        mode: `map` (Gauss-Newton on the edge map), `contrast` (contrast maximization all through: slower, the reference).
+        mode: `map` (Gauss-Newton on the edge map), `contrast` (contrast maximization all through: slow, the reference).
         objective: what sharp means wherever contrast is maximised: `variance`, `gradient` (mean squared), and for study
             `highpass` and `michelson`.
         window: events a window; None lets the image motion choose.

@@ -4,8 +4,8 @@ import { make } from "./dom.js";
 
 const WORDS = {
   motion: { label: "Motion", choices: { planar: "6 degrees of freedom, before a plane", translation: "translation only", rotation: "rotation only" } },
-  objective: { label: "Objective" },
-  mode: { label: "Mode" },
+  mode: { label: "Mode", title: "Contrast is slower, and the reference: each window by its own sharpness, then by that of map and window together", choices: { map: "aligned with the map", contrast: "by contrast alone" } },
+  objective: { label: "Objective", title: "What is maximised where contrast is: always in mode contrast, for the first window in mode map", choices: { gradient: "gradient magnitude", highpass: "local high-pass (for study)", michelson: "Michelson (for study)" } },
   window: { label: "Window", unit: "events", empty: "automatic", title: "Events a window; empty lets the image motion choose" },
   max_window_ms: { label: "Longest window", unit: "ms", title: "A window also ends after this time" },
   plane_distance: { label: "Plane distance", unit: "m", empty: "not known", title: "Metres from the first camera to the plane, for metric output; empty leaves 1" },

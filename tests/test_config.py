@@ -38,8 +38,10 @@ def test_settings_left_out_take_their_defaults() -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ('{"windw": 100}', "unknown setting windw; known are max_window_ms, motion"),
+        ('{"windw": 100}', "unknown setting windw; known are max_window_ms, mode, motion, objective"),
         ('{"motion": "spiral"}', "motion: expected one of planar"),
+        ('{"mode": "guess"}', "mode: expected one of map, contrast, got 'guess'"),
+        ('{"objective": "entropy"}', "objective: expected one of variance, gradient, highpass, michelson"),
         ('{"window": 99}', "window: expected 100 to 5000000"),
         ('{"window": 5000001}', "window"),
         ('{"window": 1000.5}', "window: expected a whole number"),
@@ -66,7 +68,15 @@ def test_impossible_settings_are_refused_in_one_line(text: str, words: str) -> N
 
 def test_every_setting_is_written() -> None:
     written = json.loads(TrackerConfig().to_json())
-    assert set(written) == {"motion", "window", "max_window_ms", "plane_distance", "seed"}
+    assert set(written) == {
+        "motion",
+        "mode",
+        "objective",
+        "window",
+        "max_window_ms",
+        "plane_distance",
+        "seed",
+    }
 
 
 def test_an_error_names_file_place_and_next_step() -> None:

@@ -17,7 +17,7 @@ from dvsviz.cli.export_arguments import Export, Poses, Report
 from dvsviz.cli.options import Calibration, Flag, Folder, Json, Repair, Size, option, read_number, read_roi
 from dvsviz.cli.registration_arguments import Register
 from dvsviz.cli.simulation_arguments import Simulate, SimulateSuite
-from dvsviz.config import Motion
+from dvsviz.config import Mode, Motion, Objective
 from dvsviz.errors import DvsvizError
 
 if TYPE_CHECKING:
@@ -42,6 +42,18 @@ class Command(Protocol):
 def _motion(word: str) -> str:
     if word not in get_args(Motion):
         raise ValueError(f"expected one of {', '.join(get_args(Motion))}, got {word}")
+    return word
+
+
+def _mode(word: str) -> str:
+    if word not in get_args(Mode):
+        raise ValueError(f"expected one of {', '.join(get_args(Mode))}, got {word}")
+    return word
+
+
+def _objective(word: str) -> str:
+    if word not in get_args(Objective):
+        raise ValueError(f"expected one of {', '.join(get_args(Objective))}, got {word}")
     return word
 
 
@@ -95,6 +107,12 @@ class Tracking(Opening):
 
     motion: Annotated[Motion | None, *option("{planar,translation,rotation}", _motion, "planar")] = None
     """planar: 6-DoF in front of a plane; translation: no rotation; rotation: no translation."""
+    mode: Annotated[Mode | None, *option("{map,contrast}", _mode, "map")] = None
+    """map: windows are aligned with the edge map; contrast: contrast maximization all through, slower."""
+    objective: Annotated[
+        Objective | None, *option("{" + ",".join(get_args(Objective)) + "}", _objective, "variance")
+    ] = None
+    """What is maximised where contrast is: highpass and michelson are for study."""
     window: Annotated[int | None, *option("N", read_number(int), "chosen by the image motion")] = None
     """Events a window; a window also ends after 100 ms."""
     plane_distance: Annotated[float | None, *option("METRES", read_number(float), "not known")] = None

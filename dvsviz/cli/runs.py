@@ -93,7 +93,11 @@ def batch(command: Batch) -> int:
 def config_of(command: Tracking) -> TrackerConfig:
     """Return the tracker's settings that were said."""
     return TrackerConfig(
-        motion=command.motion or "planar", window=command.window, plane_distance=command.plane_distance
+        motion=command.motion or "planar",
+        mode=command.mode or "map",
+        objective=command.objective or "variance",
+        window=command.window,
+        plane_distance=command.plane_distance,
     )
 
 
@@ -105,6 +109,8 @@ def _resumed_config(command: Track, out: Path) -> TrackerConfig | None:
         stored = TrackerConfig.from_json(session.header.config_json)
     return TrackerConfig(
         motion=command.motion or stored.motion,
+        mode=command.mode or stored.mode,
+        objective=command.objective or stored.objective,
         window=command.window or stored.window,
         max_window_ms=stored.max_window_ms,
         plane_distance=command.plane_distance or stored.plane_distance,

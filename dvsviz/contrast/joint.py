@@ -6,7 +6,7 @@ the normal: 6 (k - 1) + 6 k + 2 = 12 k - 4. The first pose and the plane's dista
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,14 +23,20 @@ from dvsviz.geometry.plane import Plane, turn_normal, turn_normal_derivative
 Array = NDArray[np.float64]
 
 # A view that comes nearer to the plane, or more oblique, shrinks on the map and so becomes sharper: without a counter
-# weight the keyframes draw together (contrast 0.28 to 200 within six refinements of 3 s of shapes). An edge's contrast
-# grows as its length shrinks (power 1/2 of the weight undoes it) and as its width does (power 1), which the blur
-# limits: halfway between.
-_AREA_POWER = 0.75
+# weight keyframes draw together (contrast 0.28 to 200 in six refinements of 3 s of shapes). An edge of fixed width has
+# a contrast that falls with the root of its length, so that events count by the root of their view's size. Five views
+# of a wall, 3.1 px off at the start: with the power 0.25 they end 1.2 px off, 0.4: 0.5, 0.5: 0.4, 0.75: 1.7, 1: 6.
+_AREA_POWER = 0.5
 # Step of the normal (rad) that counts as one unit, as in `contrast.solve`.
 _NORMAL_SCALE = 0.05
-# Largest correction a stage may make, in px by px of its blur.
-_REACH = 10.0
+# Largest correction a stage may make: in px (RMS over the view) by px of its blur, and of the normal, in its units.
+# Without them a line search can leap to a grazing plane, on which everything is sharp.
+_REACH = 4.0
+_TILT_REACH = 3.0
+# Events of a keyframe that tell how its parameters move the image, and the change of a parameter (rad, plane
+# distances) that counts as 1 px where the image hardly tells it.
+_SHAPE_EVENTS = 200
+_SHAPE_STEP = 0.05
 # Cells around the views' common image.
 _MARGIN_PX = 24.0
 # Side of the largest common image, cells.
@@ -150,6 +156,29 @@ def joint_contrast(
     return value, slopes, by_normal
 
 
+def _steps(keyframe: KeyframeEvents, plane: Plane, canvas: Canvas, free: NDArray[np.bool_]) -> Array:
+    """Return combinations (12, F) of a keyframe's free parameters that each move its image by 1 cell RMS, unlike.
+
+    Turning about y and moving along x look nearly alike: searched one by one they take hundreds of evaluations.
+    """
+    stride = max(1, len(keyframe.bearings) // _SHAPE_EVENTS)
+    b, t = keyframe.bearings[::stride].astype(np.float64), keyframe.t_s[::stride]
+    warp = _warp(keyframe, plane, canvas.target)
+    node = np.clip(np.rint(t * warp.scale).astype(int), 0, len(warp.nodes) - 1)
+    x = np.column_stack([b, np.ones(len(b))])
+    q = np.einsum("nij,nj->ni", warp.nodes[node], x)
+    dq = np.einsum("pnij,nj->pni", warp.d_nodes[:, node], x)
+    moved = (dq[:, :, :2] - dq[:, :, 2:] * (q[:, :2] / q[:, 2:])) / q[:, 2:]
+    seen = np.einsum("pni,rni->pr", moved, moved) / len(b)
+    index = np.flatnonzero(free)
+    seen = seen[np.ix_(index, index)]
+    # Velocities count by what they do within the window.
+    least = np.where(index < 6, 1.0, max(keyframe.duration_s, 1e-6)) / _SHAPE_STEP
+    out = np.zeros((12, len(index)))
+    out[index] = np.linalg.inv(np.linalg.cholesky(seen + np.diag(least**2))).T
+    return out
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class JointSolution:
     """Keyframes and plane at the largest joint contrast.
@@ -197,18 +226,27 @@ def maximize_joint_contrast(
     """
     kept, count, evaluations = tuple(keyframes), len(keyframes), 0
     canvas = canvas_of(kept, plane, px_per_unit)
-    # One unit of every parameter moves the image by about 1 cell.
-    scale = np.full((count, 12), 1.0 / px_per_unit)
-    scale[:, 6:] /= np.array([max(k.duration_s, 1e-6) for k in kept])[:, None]
-    mask = np.tile(np.tile(free, 2), (count, 1))
-    mask[0, :6] = False
-    size = int(mask.sum())
+    masks = [np.tile(free, 2) for _ in kept]
+    masks[0] = masks[0] & (np.arange(12) >= 6)
+    ends = np.cumsum([0] + [int(m.sum()) for m in masks])
+    size = int(ends[-1])
     final = objective(name, blurs_px[-1])
     before = final(common_image(kept, plane, canvas))[0]
     for blur in blurs_px:
         cost = objective(name, blur)
         reference = max(cost(common_image(kept, plane, canvas))[0], 1e-12)
         start, start_plane = kept, plane
+        steps = [_steps(k, plane, canvas, m) for k, m in zip(kept, masks, strict=True)]
+
+        def place(
+            z: Array,
+            start: tuple[KeyframeEvents, ...] = start,
+            steps: list[Array] = steps,
+        ) -> tuple[tuple[KeyframeEvents, ...], Array, Array]:
+            """Return the keyframes, their changes (K, 12) and the turn of the normal (2,) at parameters."""
+            x = np.stack([B @ z[ends[i] : ends[i + 1]] for i, B in enumerate(steps)])
+            delta = z[size:] * _NORMAL_SCALE if solve_normal else np.zeros(2)
+            return tuple(_moved(k, x[i]) for i, k in enumerate(start)), x, delta
 
         def negative(
             z: Array,
@@ -216,46 +254,36 @@ def maximize_joint_contrast(
             reference: float = reference,
             start: tuple[KeyframeEvents, ...] = start,
             start_plane: Plane = start_plane,
+            steps: list[Array] = steps,
+            place: Callable[[Array], tuple[tuple[KeyframeEvents, ...], Array, Array]] = place,
         ) -> tuple[float, Array]:
-            x = np.zeros((count, 12))
-            x[mask] = z[:size] * scale[mask]
-            delta = z[size:] * _NORMAL_SCALE if solve_normal else np.zeros(2)
-            moved = tuple(_moved(k, x[i]) for i, k in enumerate(start))
+            moved, x, delta = place(z)
             tilted = Plane(normal=turn_normal(start_plane.normal, delta), distance=start_plane.distance)
             d_normal = turn_normal_derivative(start_plane.normal, delta)
             value, slopes, by_normal = joint_contrast(moved, tilted, canvas, cost, d_normal)
-            for i, k in enumerate(moved):
+            gradient = np.empty(len(z))
+            for i, (k, B) in enumerate(zip(moved, steps, strict=True)):
                 # From the local derivatives at the moved pose to those by its parameters at the start.
                 slopes[i, :3] = se3.left_jacobian_so3(x[i, :3]) @ slopes[i, :3]
-                slopes[i, 3:6] = (
-                    start[i].T_world_camera[:3, :3].T @ k.T_world_camera[:3, :3] @ slopes[i, 3:6]
-                )
-            gradient = -np.concatenate([(slopes * scale)[mask], by_normal[: len(z) - size] * _NORMAL_SCALE])
-            held = ridge / count
-            weight = np.full(len(z), held)
+                slopes[i, 3:6] = start[i].T_world_camera[:3, :3].T @ k.T_world_camera[:3, :3] @ slopes[i, 3:6]
+                gradient[ends[i] : ends[i + 1]] = -B.T @ slopes[i]
+            gradient[size:] = -by_normal[: len(z) - size] * _NORMAL_SCALE
+            weight = np.full(len(z), ridge / count)
             weight[size:] = ridge
-            return (
-                -value / reference + float(weight @ (z * z)),
-                gradient / reference + 2 * weight * z,
-            )
+            return -value / reference + float(weight @ (z * z)), gradient / reference + 2 * weight * z
 
-        total = size + (2 if solve_normal else 0)
+        turns = 2 if solve_normal else 0
         found = minimize(
             negative,
-            np.zeros(total),
-            bounds=[(-_REACH * blur, _REACH * blur)] * total,
+            np.zeros(size + turns),
+            bounds=[(-_REACH * blur, _REACH * blur)] * size + [(-_TILT_REACH, _TILT_REACH)] * turns,
             jac=True,
             method="L-BFGS-B",
             options={"maxfun": max_evaluations, "ftol": 1e-6, "gtol": 1e-6},
         )
         evaluations += int(found.nfev)
-        x = np.zeros((count, 12))
-        x[mask] = found.x[:size] * scale[mask]
-        kept = tuple(_moved(k, x[i]) for i, k in enumerate(start))
-        if solve_normal:
-            plane = Plane(
-                normal=turn_normal(plane.normal, found.x[size:] * _NORMAL_SCALE), distance=plane.distance
-            )
+        kept, _, delta = place(found.x)
+        plane = Plane(normal=turn_normal(plane.normal, delta), distance=plane.distance)
     return JointSolution(
         keyframes=kept,
         plane=plane,

@@ -160,21 +160,24 @@ class JointRefiner(Refiner):
         cost = objective(self.name, c.JOINT_BLURS_PX[-1])
         before = cost(common_image(test, plane, canvas))[0]
         after = cost(common_image(moved, solved.plane, canvas))[0]
-        kept, accepted = list(traces), after > before
+        kept, accepted, before_plane = list(traces), after > before, plane
         if accepted:
             kept, plane = self._moved(kept, anchors, solved.keyframes), solved.plane
-        overlap = self._explained(kept, plane) if passes == 1 else float("nan")
-        refused = overlap < c.JOINT_OVERLAP
+        views = [t for t in kept if _is_anchor(t)]
+        overlap, usual = (self._explained(views, which, plane) for which in (-1, -2))
+        # Dense texture explains less than a few shapes do: what the others explain of the keyframe before is usual.
+        refused = passes == 1 and overlap < c.JOINT_OVERLAP * usual
         if refused:
             candidate = max(t.keyframe for t in anchors)
-            kept = [replace(t, is_trusted=False) if t.keyframe == candidate else t for t in kept]
+            kept = [replace(t, is_trusted=False) if t.keyframe == candidate else t for t in traces]
+            plane, accepted = before_plane, False
         said = "refused" if refused else "accepted" if accepted else "left as it was"
         return JointlyRevised(
             traces=tuple(kept),
             plane=plane,
             planar_map=self.build(kept, plane),
             text=f"joint contrast of {len(anchors)} keyframes on held-out events: {before:.4g} to {after:.4g}, {said}"
-            + (f"; the others explain {100 * overlap:.0f} % of the last" if np.isfinite(overlap) else ""),
+            f"; the others explain {100 * overlap:.0f} % of the last, {100 * usual:.0f} % of the one before",
             accepted=accepted,
             is_refused=refused,
         )
@@ -194,26 +197,25 @@ class JointRefiner(Refiner):
         )
 
     @staticmethod
-    def _moved(
-        traces: Sequence[Trace], anchors: Sequence[Trace], solved: Sequence[KeyframeEvents]
-    ) -> list[Trace]:
+    def _moved(traces: Sequence[Trace], anchors: Sequence[Trace], solved: Sequence[KeyframeEvents]) -> list[Trace]:
         """Return the traces re-expressed after their keyframes moved, keyframes with their own velocities."""
         found = {}
         for t, k in zip(anchors, solved, strict=True):
             T = se3.propagate(k.T_world_camera, k.omega, k.velocity, t.mid_s)
             found[t.keyframe] = (T, k.omega, se3.exp_so3(k.omega * t.mid_s).T @ k.velocity)
         return [
-            replace(t, T_world_camera=found[t.keyframe][0], omega=found[t.keyframe][1], velocity=found[t.keyframe][2])
+            replace(
+                t, T_world_camera=found[t.keyframe][0], omega=found[t.keyframe][1], velocity=found[t.keyframe][2]
+            )
             if t.keyframe in found
             else t
             for t in correct(traces, {number: T for number, (T, _, _) in found.items()})
         ]
 
-    def _explained(self, traces: Sequence[Trace], plane: Plane) -> float:
-        """Return the share of the last keyframe's edge pixels that the others' map explains."""
-        anchors = [t for t in traces if _is_anchor(t)]
-        others = self.build(anchors[:-1], plane)
-        last, K = anchors[-1], self.camera.matrix
+    def _explained(self, anchors: Sequence[Trace], which: int, plane: Plane) -> float:
+        """Return the share of a keyframe's edge pixels that the others' map explains; NaN where it has none."""
+        last, K = anchors[which], self.camera.matrix
+        others = self.build([t for t in anchors if t is not last], plane)
         px = (last.deskewed(plane) @ K[:2, :2].T + K[:2, 2]).astype(np.float32)
         image = vote(px, None, (self.camera.height, self.camera.width))
         occupied = image[image > 0]

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dvsviz.config import Motion, TrackerConfig
+from dvsviz.config import Mode, Motion, TrackerConfig
 from dvsviz.events.events import Events
 from dvsviz.events.windows import EventWindow, make_window
 from dvsviz.geometry.camera import Camera
@@ -32,17 +32,17 @@ def warm_up(config: TrackerConfig) -> float:
     tracker's, and is reported apart.
 
     Args:
-        config: the motion to track.
+        config: the motion to track, and the mode.
     """
     start = time.perf_counter()
-    _run(config.motion)
+    _run(config.motion, config.mode)
     return time.perf_counter() - start
 
 
 @functools.cache
-def _run(motion: Motion) -> None:
+def _run(motion: Motion, mode: Mode) -> None:
     """Do it once a process: a live stream does not wait for a second time."""
-    config = TrackerConfig(motion=motion)
+    config = TrackerConfig(motion=motion, mode=mode)
     rng = np.random.default_rng(0)
     dots = rng.uniform((-_CAMERA.width, 0), (_CAMERA.width, _CAMERA.height), (150, 2))
     tracker = Tracker(_CAMERA, replace(config, window=_WINDOW_EVENTS))
