@@ -248,6 +248,9 @@ JOINT_EVALUATIONS: Final = 40
 JOINT_RIDGE: Final = 1e-4
 # Most keyframes in one joint refinement.
 JOINT_MAX_VIEWS: Final = 40
+# Rise of the joint contrast on held-out events beyond which it is not believed: at most 1.1 on shapes_6dof, 4e7 on
+# slider_depth, which is no plane.
+JOINT_RISE: Final = 1.5
 # What the other keyframes explain of a new one, by what they explain of the one before, below which it is refused: at
 # least 0.8 on 3 s of shapes.
 JOINT_OVERLAP: Final = 0.6

@@ -160,7 +160,9 @@ class JointRefiner(Refiner):
         cost = objective(self.name, c.JOINT_BLURS_PX[-1])
         before = cost(common_image(test, plane, canvas))[0]
         after = cost(common_image(moved, solved.plane, canvas))[0]
-        kept, accepted, before_plane = list(traces), after > before, plane
+        kept, before_plane = list(traces), plane
+        # A contrast that multiplies is views drawn together, as before a scene that is no plane.
+        accepted = before < after < c.JOINT_RISE * before
         if accepted:
             kept, plane = self._moved(kept, anchors, solved.keyframes), solved.plane
         views = [t for t in kept if _is_anchor(t)]
