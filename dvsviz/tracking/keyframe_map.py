@@ -7,7 +7,7 @@ too little of the candidate, its pose was off: the map goes on without it, and t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,7 +22,7 @@ from dvsviz.geometry.camera import Camera
 from dvsviz.geometry.plane import Plane, homography_map_camera
 from dvsviz.tracking import constants as c
 from dvsviz.tracking.kernels import explained_share
-from dvsviz.tracking.mapping import Job, Mapper
+from dvsviz.tracking.mapping import Job, Mapper, Sampled
 from dvsviz.tracking.planar_map import PlanarMap
 from dvsviz.tracking.refining import Refiner, Revised
 from dvsviz.tracking.traces import Trace, add_to_map, correct
@@ -78,10 +78,10 @@ class KeyframeMapper(Mapper):
         super().__init__(camera, free, image_size, solve_normal=solve_normal)
         self._refiner = JointRefiner(camera=camera, free=free, solve_normal=solve_normal, name=name, seed=seed)
 
-    def add(self, trace: Trace, image: NDArray[np.float32], overlap: float) -> int:
+    def add(self, trace: Trace, image: NDArray[np.float32], overlap: float, densely: Callable[[], Sampled]) -> int:
         """Write a window to the map if it becomes a keyframe; return its number, or -1."""
         if self._is_keyframe(trace, overlap):
-            return super().add(trace, image, overlap)
+            return super().add(trace, image, overlap, densely)
         self.traces.append(trace)
         return -1
 
