@@ -89,3 +89,20 @@ def test_the_difference_of_poses_is_in_the_camera_frame() -> None:
     moved = turned.copy()
     moved[:3, 3] = [0.0, 0.1, 0.0]
     assert difference(turned, moved) == pytest.approx([0, 0, 0, 0.1, 0, 0])
+
+
+def test_what_the_model_holds_is_never_moved() -> None:
+    rng = np.random.default_rng(1)
+    free = np.array([True] * 3 + [False] * 3)
+    motion, alone = MotionFilter(free=free), MotionFilter(free=free)
+    for _ in range(100):
+        A = rng.normal(size=(6, 6))
+        information = 1e5 * A @ A.T
+        turned = np.concatenate([rng.normal(scale=0.01, size=3), np.zeros(3)])
+        motion.predict(DT)
+        alone.predict(DT)
+        change = motion.correct(turned, information, DT)
+        # How a movement would have looked does not matter where there is none.
+        information[3:], information[:, 3:] = 0.0, 0.0
+        assert change == pytest.approx(alone.correct(turned, information, DT))
+        assert change[3:] == pytest.approx(np.zeros(3), abs=1e-9)

@@ -17,9 +17,17 @@ from dvsviz.tracking import constants as c
 
 Array = NDArray[np.float64]
 
+# Variance of what a motion model holds: as good as none, and still to be inverted.
+_HELD = 1e-16
 
-def _unknown() -> Array:
-    return np.diag([c.FILTER_POSE_START**2] * 6 + [c.FILTER_SPEED_START**2] * 6)
+
+def _unknown(free: NDArray[np.bool_]) -> Array:
+    start = np.array([c.FILTER_POSE_START**2] * 6 + [c.FILTER_SPEED_START**2] * 6)
+    return np.diag(np.where(np.tile(free, 2), start, _HELD))
+
+
+def _all_free() -> NDArray[np.bool_]:
+    return np.ones(6, dtype=bool)
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
@@ -27,25 +35,31 @@ class MotionFilter:
     """What is known of the errors of pose and velocity.
 
     Attributes:
+        free: mask (6,) of rotation and position that the motion model solves for.
         covariance: (12, 12) of rotation, position (rad, plane distances, camera frame) and their velocities.
         density: acceleration's spectral density (2,) of rotation and position, rad²/s³ and distances²/s³.
     """
 
-    covariance: Array = field(default_factory=_unknown)
+    free: NDArray[np.bool_] = field(default_factory=_all_free)
+    covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
     density: Array = field(default_factory=lambda: np.full(2, c.FILTER_DENSITY_START))
+
+    def __post_init__(self) -> None:
+        if self.covariance.size == 0:
+            self.forget()
 
     def forget(self) -> None:
         """Begin anew, after a loss: the velocity may be anything."""
-        self.covariance = _unknown()
+        self.covariance = _unknown(self.free)
 
     def predict(self, dt: float) -> Array:
         """Move the uncertainty on by `dt` seconds; return the information (6, 6) of the predicted pose."""
-        P, q = self.covariance, np.repeat(self.density, 3)
+        P, q = self.covariance, np.repeat(self.density, 3) * self.free
         F = np.eye(12)
         F[:6, 6:] = dt * np.eye(6)
         P = F @ P @ F.T
         i = np.arange(6)
-        P[i, i] += q * dt**3 / 3 + c.FILTER_POSE_FLOOR**2
+        P[i, i] += q * dt**3 / 3 + self.free * c.FILTER_POSE_FLOOR**2
         P[i, i + 6] += q * dt**2 / 2
         P[i + 6, i] += q * dt**2 / 2
         P[i + 6, i + 6] += q * dt
@@ -63,6 +77,7 @@ class MotionFilter:
         P = self.covariance
         pose, cross = P[:6, :6], P[6:, :6]
         inverse = np.linalg.inv(pose)
+        information = information * np.outer(self.free, self.free)
         after = np.linalg.inv(inverse + information / c.FILTER_CORRELATED)
         by_pose = cross @ inverse
         change = by_pose @ moved

@@ -156,8 +156,8 @@ class Refiner:
         step = max(1, len(trace.bearings) // c.ALIGN_EVENTS)
         return align(
             planar_map,
-            trace.bearings[::step],
-            trace.t_s[::step] - trace.mid_s,
+            np.ascontiguousarray(trace.bearings[::step]),
+            np.ascontiguousarray(trace.t_s[::step]) - trace.mid_s,
             trace.T_world_camera,
             trace.omega,
             trace.velocity,

@@ -63,8 +63,12 @@ class Motion:
         self.size = float(np.clip(self.size * factor, c.WINDOW_EVENTS_MIN, most))
 
     @classmethod
-    def start(cls) -> Motion:
-        """Return the state before the first window."""
+    def start(cls, free: NDArray[np.bool_]) -> Motion:
+        """Return the state before the first window.
+
+        Args:
+            free: mask (6,) of rotation and position that the motion model solves for.
+        """
         return cls(
             T_world_camera=np.eye(4),
             t_us=0,
@@ -74,6 +78,7 @@ class Motion:
             bad_windows=0,
             good_score=0.0,
             size=float(c.WINDOW_EVENTS_START),
+            filter=MotionFilter(free=free),
         )
 
 
@@ -84,6 +89,7 @@ def pack(motion: Motion, mapper: Mapper) -> dict[str, np.ndarray]:
         "T_world_camera": motion.T_world_camera,
         "omega": motion.omega,
         "velocity": motion.velocity,
+        "free": motion.filter.free,
         "covariance": motion.filter.covariance,
         "density": motion.filter.density.copy(),
         "numbers": np.array([motion.good_score, motion.size]),
@@ -199,7 +205,11 @@ def unpack(
             status=STATUSES[status],
             bad_windows=bad,
             searches=searches,
-            filter=MotionFilter(covariance=np.array(state["covariance"]), density=np.array(state["density"])),
+            filter=MotionFilter(
+                free=np.array(state["free"]),
+                covariance=np.array(state["covariance"]),
+                density=np.array(state["density"]),
+            ),
             good_score=float(state["numbers"][0]),
             size=float(state["numbers"][1]),
         )

@@ -64,7 +64,7 @@ class Tracker:
         self.config = config or TrackerConfig()
         self._free = free_parameters(self.config.motion)
         self._mapper = mapper_of(self.config, self.camera, self._free, (camera.width, camera.height))
-        self._motion = Motion.start()
+        self._motion = Motion.start(self._free)
         self.stretch = 1.0
         self._failures = FailureWatch()
         # A camera that only turns sees no depth.
