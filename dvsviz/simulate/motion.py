@@ -16,7 +16,7 @@ from dvsviz.geometry import se3
 
 Array = NDArray[np.float64]
 Motion = Callable[[Array], Array]
-MotionName = Literal["handheld", "slider", "rotation", "shake"]
+MotionName = Literal["handheld", "slider", "rotation", "turn", "shake"]
 
 
 def wobble(
@@ -91,6 +91,27 @@ def rotation(rng: np.random.Generator, seconds: float) -> Motion:
     return free_motion(lambda t_s: np.zeros((len(t_s), 3)), turn)
 
 
+def turn(rng: np.random.Generator, seconds: float, *, degrees: float = 400.0) -> Motion:
+    """Return a turn about the vertical axis, past where it began, that nods by ±8 degrees and rolls by ±6.
+
+    Args:
+        rng: nods and rolls.
+        seconds: its duration; it gathers speed over the first tenth.
+        degrees: how far it turns in all.
+    """
+    rest = wobble(rng, np.radians([8, 0, 6]), low_hz=0.1, high_hz=0.6, seconds=seconds)
+    start = 0.1
+
+    def motion(t_s: Array) -> Array:
+        s = np.asarray(t_s, dtype=np.float64) / seconds
+        share = np.where(s < start, np.maximum(s, 0) ** 2 / (2 * start), s - start / 2) / (1 - start / 2)
+        yaw = np.zeros((len(s), 3))
+        yaw[:, 1] = np.radians(degrees) * share
+        return se3.pose(se3.exp_so3(yaw) @ se3.exp_so3(rest(t_s)), np.zeros((len(s), 3)))
+
+    return motion
+
+
 def shake(rng: np.random.Generator, seconds: float) -> Motion:
     """Return a fast shake: up to about 2.3 m/s and 4.7 rad/s."""
     position = wobble(rng, [1, 0.8, 0.35], low_hz=0.5, high_hz=2.5, seconds=seconds)
@@ -113,6 +134,8 @@ def make_motion(name: str, rng: np.random.Generator, seconds: float, *, distance
         return slider(start=-0.163 * seconds / 2)
     if name == "rotation":
         return rotation(rng, seconds)
+    if name == "turn":
+        return turn(rng, seconds)
     if name == "shake":
         return shake(rng, seconds)
-    raise ValueError(f"motion: expected handheld, slider, rotation or shake, got {name!r}")
+    raise ValueError(f"motion: expected handheld, slider, rotation, turn or shake, got {name!r}")

@@ -58,6 +58,22 @@ DENSITY_EVERY: Final = 8
 # Largest map, cells: 16 million cells are 64 MB a layer.
 MAP_MAX_CELLS: Final = 16_000_000
 
+# --- panorama -----------------------------------------------------------------------------------------------
+# Turn away from the nearest face, rad, at which a new one is made: 30 degrees, with half a usual view beyond it 61.
+FACE_APART_RAD: Final = 0.524
+# By how much another face must be nearer, rad, before it is taken.
+FACE_LEAD_RAD: Final = 0.09
+# How far from its centre a face is written, in its distances: 63 degrees, where a cell shows a fifth of a pixel's area.
+FACE_REACH: Final = 2.0
+# The same in a refinement: 40 degrees; what lies beyond is another face's.
+FACE_REFINED: Final = 0.84
+# Turn away from a face's centre, rad, within which a view still shows something of it.
+FACE_SEEN_RAD: Final = 1.05
+# Windows that must agree on how far off a loop is, the px by which they may differ, and from which it is closed.
+LOOP_WINDOWS: Final = 5
+LOOP_SPREAD_PX: Final = 2.0
+LOOP_PX: Final = 1.0
+
 # --- status -------------------------------------------------------------------------------------------------
 # Bad windows in a row after which the tracker says that it is lost.
 LOST_WINDOWS: Final = 2

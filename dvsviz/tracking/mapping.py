@@ -14,13 +14,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from dvsviz.geometry import se3
 from dvsviz.geometry.camera import Camera
 from dvsviz.geometry.plane import Plane
 from dvsviz.session.records import Failure, Keyframe, LogEntry, MapRevision, RefinedPoses, TrackerUpdates
 from dvsviz.tracking import constants as c
+from dvsviz.tracking.panorama import Panorama, loop_error, nearest, spread
 from dvsviz.tracking.planar_map import PlanarMap
 from dvsviz.tracking.refining import Refiner, Revised
-from dvsviz.tracking.traces import Trace, add_to_map
+from dvsviz.tracking.traces import Trace, add_to_map, correct
 
 Array = NDArray[np.float64]
 Sampled = tuple[NDArray[np.float32], Array]
@@ -49,10 +51,17 @@ class Mapper:
         free: mask (6,) of rotation and position.
         image_size: (width, height) of the keyframes' images.
         solve_normal: refine the plane's normal too.
+        is_panorama: the camera only turns: the map has as many planes as its view needs.
     """
 
     def __init__(
-        self, camera: Camera, free: NDArray[np.bool_], image_size: tuple[int, int], *, solve_normal: bool
+        self,
+        camera: Camera,
+        free: NDArray[np.bool_],
+        image_size: tuple[int, int],
+        *,
+        solve_normal: bool,
+        is_panorama: bool = False,
     ) -> None:
         self.camera = camera
         self.plane = Plane(normal=np.array([0.0, 0.0, -1.0]))
@@ -64,7 +73,10 @@ class Mapper:
         self.tried_at = 0
         self.job: Job | None = None
         self.must_relocalize = False
-        self._refiner = Refiner(camera=camera, free=free, solve_normal=solve_normal)
+        self.panorama = Panorama(self.plane) if is_panorama else None
+        self.closed_loops = 0
+        self._free = free
+        self._refiner = Refiner(camera=camera, free=free, solve_normal=solve_normal, is_panorama=is_panorama)
         self._image_size = image_size
         self._sensor = (camera.height, camera.width)
         self._new_keyframes: list[Keyframe] = []
@@ -83,7 +95,7 @@ class Mapper:
 
     def begin(self, plane: Plane) -> None:
         """Start an empty map on a plane."""
-        self.plane = plane
+        self.plane = plane if self.panorama is None else self.panorama.plane
         self.map = self._empty(freeze_px=float("inf"))
 
     def _empty(self, *, freeze_px: float) -> PlanarMap:
@@ -94,7 +106,86 @@ class Mapper:
             -0.5 * size * self.plane.distance / self.camera.focal_px,
             self._sensor,
             freeze_px=freeze_px,
+            reach=float("inf") if self.panorama is None else c.FACE_REACH,
         )
+
+    # --- turning -------------------------------------------------------------------------------------------
+
+    def look(self, T_world_camera: Array, *, may_close: bool = True) -> Array | None:
+        """Take the face of a panorama that a view shows best.
+
+        Args:
+            T_world_camera: pose (4, 4).
+            may_close: compare with what was known of the face before the camera turned away from it.
+
+        Returns:
+            The turn (4, 4), world, by which the last window was corrected where that closed a loop; else None.
+        """
+        if self.panorama is None or not self.panorama.turn_to(T_world_camera, len(self.traces)):
+            return None
+        moved = self._close_loop(self.panorama) if may_close else None
+        self._show_face(self.panorama.plane)
+        self._publish(self.traces[-1].window)
+        return moved
+
+    def _show_face(self, face: Plane) -> None:
+        """Make the map of a face from what is remembered."""
+        limit = c.FREEZE_DISPLACEMENT_PX if self.refinements else float("inf")
+        self.plane, self.map = face, self._refiner.build(self.traces, face, freeze_px=limit)
+        self.map.freeze_px = limit
+
+    def _close_loop(self, panorama: Panorama) -> Array | None:
+        """Spread the difference between the face as it was left and as it was come back to over the turn between."""
+        first = panorama.earlier(self.traces)
+        if not first:
+            return None
+        before = self.traces[-1].T_world_camera
+        old = self._refiner.build(self.traces[:first], panorama.plane)
+        error = loop_error(old, self.live_map, self.traces, self.camera, self._free)
+        if error is None:
+            return None
+        off_px = float(np.linalg.norm(se3.log_so3(error))) * self.camera.focal_px
+        if off_px < c.LOOP_PX:
+            return None
+        if self.job is not None:
+            # It moves what the loop's error is to be spread over: landed first, and asked again.
+            self._merge(self.job)
+            error = loop_error(
+                self._refiner.build(self.traces[:first], panorama.plane),
+                self._refiner.build(self.traces[first:], panorama.plane),
+                self.traces,
+                self.camera,
+                self._free,
+            )
+        if error is not None:
+            self.traces = correct(self.traces, spread(self.traces, first, error))
+            self.tell_refined([(t.window, t.T_world_start) for t in self.traces])
+            self.closed_loops += 1
+            self.tried_at = 0
+            self.log(
+                self.traces[-1].window,
+                "info",
+                f"loop closed: {off_px:.1f} px off after {len(self.traces) - first} windows",
+            )
+        after = self.traces[-1].T_world_camera
+        return se3.pose(after[:3, :3] @ before[:3, :3].T, np.zeros(3))
+
+    def to_search(self, attempt: int) -> tuple[PlanarMap, list[Array]]:
+        """Return where a lost camera is looked for: a map and the keyframe poses (4, 4) it was seen from.
+
+        Of a panorama one face after the other, those near the last view first.
+        """
+        poses = [t.T_world_camera for t in self.traces if t.keyframe >= 0]
+        if self.panorama is None or len(self.panorama.faces) == 1:
+            return self.live_map, poses[:: max(1, -(-len(poses) // c.RELOCALIZE_KEYFRAMES))]
+        faces = self.panorama.faces
+        order = np.argsort([p.normal @ self.traces[-1].T_world_camera[:3, 2] for p in faces])
+        k = int(order[attempt % len(faces)])
+        poses = [T for T in poses if nearest(faces, T) == k]
+        planar_map = self.live_map
+        if k != self.panorama.current:
+            planar_map = self._refiner.build(self.traces, faces[k], freeze_px=c.FREEZE_DISPLACEMENT_PX)
+        return planar_map, poses[:: max(1, -(-len(poses) // c.RELOCALIZE_KEYFRAMES))]
 
     # --- growing -------------------------------------------------------------------------------------------
 
@@ -155,15 +246,10 @@ class Mapper:
         shift = np.linalg.norm(Ts[:, :3, 3] - T[:3, 3], axis=1)
         return self.camera.focal_px * (turn + shift / self.plane.distance)
 
-    def keyframe_poses(self, most: int) -> list[Array]:
-        """Return at most `most` keyframe poses (4, 4), evenly spread."""
-        poses = [t.T_world_camera for t in self.traces if t.keyframe >= 0]
-        return poses[:: max(1, -(-len(poses) // most))]
-
-    def _publish(self, window: int) -> None:
+    def _publish(self, window: int, planar_map: PlanarMap | None = None) -> None:
         self.revision += 1
         self.revision_at_keyframes = len(self.keyframes)
-        self._new_revisions.append(self.live_map.revision(self.revision, window))
+        self._new_revisions.append((planar_map or self.live_map).revision(self.revision, window))
 
     # --- refining ------------------------------------------------------------------------------------------
 
@@ -191,7 +277,11 @@ class Mapper:
         """Start a refinement of the first `count` traces that is merged at window `land_at`."""
         pool = ThreadPoolExecutor(1, thread_name_prefix="refinement")
         future = pool.submit(
-            self._refiner.revise, tuple(self.traces[:count]), self.plane, first=self.refinements == 0
+            self._refiner.revise,
+            tuple(self.traces[:count]),
+            self.plane,
+            first=self.refinements == 0,
+            faces=() if self.panorama is None else self.panorama.known_at(count),
         )
         pool.shutdown(wait=False)
         self.job = Job(count=count, land_at=land_at, future=future)
@@ -220,6 +310,8 @@ class Mapper:
             revised.planar_map, self.traces[job.count - 1], revised.traces[-1], self.traces[job.count :]
         )
         self._take_over(revised, [*revised.traces, *later])
+        if self.panorama is not None and self.plane is not self.panorama.plane:
+            self._show_face(self.panorama.plane)
         self._publish(window)
 
     def _take_over(self, revised: Revised, traces: list[Trace]) -> None:
@@ -235,12 +327,18 @@ class Mapper:
             self._merge(self.job)
         if refine:
             if len(self.keyframes) >= c.REFINE_AT[0] and self._is_spread:
-                revised = self._refiner.revise(self.traces, self.plane, first=self.refinements == 0, passes=2)
+                faces = () if self.panorama is None else tuple(self.panorama.faces)
+                revised = self._refiner.revise(
+                    self.traces, self.plane, first=self.refinements == 0, passes=2, faces=faces
+                )
             else:
                 revised = self._refiner.settle(self.traces, self.plane)
             self.log(self.traces[-1].window, "info", revised.text)
             if revised.planar_map is not None:
                 self._take_over(revised, list(revised.traces))
+        if self.panorama is not None:
+            for face in (p for p in self.panorama.faces if p is not self.plane):
+                self._publish(self.traces[-1].window, self._refiner.build(self.traces, face))
         self._publish(self.traces[-1].window)
 
     # --- telling -------------------------------------------------------------------------------------------

@@ -31,18 +31,27 @@ class PlanarMap:
         votes: events that fell on each cell (rows, columns).
         exposure: image displacement, px, that has swept each block of cells (rows / b, columns / b).
         freeze_px: a block swept by more is no longer written.
+        reach: how far from the map frame's origin, in units, the grid may grow.
         adds: windows that were added.
         density: 90th percentile of the rates of occupied cells, measured now and then.
     """
 
     def __init__(
-        self, plane: Plane, px_per_unit: float, origin: Array, shape: tuple[int, int], *, freeze_px: float
+        self,
+        plane: Plane,
+        px_per_unit: float,
+        origin: Array,
+        shape: tuple[int, int],
+        *,
+        freeze_px: float,
+        reach: float = float("inf"),
     ) -> None:
         b = c.EXPOSURE_CELL_PX
         rows, cols = (-(-n // b) * b for n in shape)
         self.plane = plane
         self.px_per_unit = px_per_unit
         self.freeze_px = freeze_px
+        self.reach = reach
         self.origin = np.asarray(origin, dtype=np.float64)
         self.votes: Image = np.zeros((rows, cols), dtype=np.float32)
         self.exposure: Image = np.zeros((rows // b, cols // b), dtype=np.float32)
@@ -66,8 +75,8 @@ class PlanarMap:
         """
         s, b = self.px_per_unit, c.EXPOSURE_CELL_PX
         rows, cols = self.votes.shape
-        lo = np.floor((np.asarray(low) - self.origin) * s)
-        hi = np.ceil((np.asarray(high) - self.origin) * s)
+        lo = np.floor((np.clip(low, -self.reach, self.reach) - self.origin) * s)
+        hi = np.ceil((np.clip(high, -self.reach, self.reach) - self.origin) * s)
         if not (np.all(np.isfinite(lo)) and np.all(np.isfinite(hi))):
             return False
         if lo.min() >= 0 and hi[0] < cols - 1 and hi[1] < rows - 1:

@@ -8,6 +8,7 @@ normal are solved together. Gauge: the first keyframe's pose and the plane's dis
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -73,6 +74,7 @@ def refine(
     solve_normal: bool = True,
     held: int = 1,
     rounds: int = c.REFINE_ROUNDS,
+    faces: Sequence[Plane] = (),
 ) -> Refinement:
     """Return the poses of the views and the plane that bring the views' edges together.
 
@@ -84,18 +86,20 @@ def refine(
         solve_normal: also refine the normal.
         held: how many of the first views keep their pose (at least 1, the gauge).
         rounds: association and solving, repeated.
+        faces: of a panorama: the planes on which edges are looked for instead, all poses solved together; the normal is
+            then not refined.
     """
     Ts = np.stack([v.T_world_camera for v in views])
     train = [np.ascontiguousarray(v.bearings[0::2]) for v in views]
     test = [np.ascontiguousarray(v.bearings[1::2]) for v in views]
     start = (Ts, plane)
-    before = disagreement(test, Ts, plane, px_per_unit)
+    before = disagreement(test, Ts, plane, px_per_unit, faces)
     # The gate closes over the first rounds; the rest converge with it closed.
     gates = np.geomspace(c.REFINE_GATE_START_PX, c.REFINE_GATE_END_PX, 4)
     residual, landmarks, done = float("nan"), 0, 0
     for i in range(rounds):
         gate = float(gates[min(i, 3)])
-        step = _round(train, Ts, plane, start, px_per_unit, gate, free, solve_normal, held)
+        step = _round(train, Ts, plane, start, px_per_unit, gate, free, solve_normal, held, faces)
         if step is None:
             break
         Ts, plane, residual, landmarks, size = step
@@ -106,7 +110,7 @@ def refine(
         Ts_world_camera=Ts,
         plane=plane,
         before_px=before,
-        after_px=disagreement(test, Ts, plane, px_per_unit),
+        after_px=disagreement(test, Ts, plane, px_per_unit, faces),
         residual_px=residual,
         landmarks=landmarks,
         rounds=done,
@@ -126,59 +130,93 @@ def _homography(T: Array, plane: Plane, R_map_world: Array) -> Array:
     return H / np.array([[1.0], [1.0], [plane.distance]])
 
 
-def disagreement(bearings: list[Array], Ts: Array, plane: Plane, scale: float) -> float:
+def _shown(
+    bearings: list[Array], Ts: Array, plane: Plane, scale: float, is_face: bool
+) -> tuple[list[int], list[Array], list[Array]]:
+    """Return which views show something of a plane, their bearings there and the cells of those.
+
+    All of all views, but on a face of a panorama, which is a part of what is seen.
+    """
+    R_map_world = rotation_to_map(plane.normal)
+    if not is_face:
+        cells = [_to_cells(b, T, plane, R_map_world, scale) for b, T in zip(bearings, Ts, strict=True)]
+        return list(range(len(bearings))), bearings, cells
+    views: list[int] = []
+    shown: list[Array] = []
+    found: list[Array] = []
+    for k, (b, T) in enumerate(zip(bearings, Ts, strict=True)):
+        n_camera = plane.normal @ T[:3, :3]
+        ahead = b[b @ n_camera[:2] + n_camera[2] < -1e-3]
+        cells = _to_cells(ahead, T, plane, R_map_world, scale)
+        near = np.abs(cells).max(axis=1, initial=0.0) < c.FACE_REFINED * scale
+        if near.any():
+            views.append(k)
+            shown.append(np.ascontiguousarray(ahead[near]))
+            found.append(cells[near])
+    return views, shown, found
+
+
+def disagreement(
+    bearings: list[Array], Ts: Array, plane: Plane, scale: float, faces: Sequence[Plane] = ()
+) -> float:
     """Return how far (px, RMS) the views disagree on where their shared edges lie.
 
     Each view's mean distance to a landmark is compared with the landmark's mean over all views; landmarks and views are
     those of a fixed gate, so that what is judged does not depend on how it was found.
     """
-    R_map_world = rotation_to_map(plane.normal)
-    cells = [_to_cells(b, T, plane, R_map_world, scale) for b, T in zip(bearings, Ts, strict=True)]
-    low, shape = bounds(cells)
+    squares, weights = 0.0, 0.0
     gate = c.REFINE_JUDGE_GATE_PX
-    ridges = find_ridges(cells, low, shape, gate)
-    if ridges is None:
-        return float("inf")
-    count = np.zeros((len(cells), len(ridges.xy)))
-    mean = np.zeros_like(count)
-    for k, points in enumerate(cells):
-        sums = np.zeros((len(ridges.xy), 4))
-        associate(points - low, bearings[k], ridges.label, ridges.xy, ridges.normal, gate, sums)
-        seen = sums[:, 0] >= c.REFINE_MIN_EVENTS
-        count[k] = np.where(seen, np.minimum(sums[:, 0], c.REFINE_MAX_EVENTS), 0.0)
-        mean[k] = np.where(seen, sums[:, 1] / np.maximum(sums[:, 0], 1.0), 0.0)
-    shared = (count > 0).sum(axis=0) >= 2
-    weight = count[:, shared]
-    if not shared.any():
-        return float("inf")
-    value = mean[:, shared]
-    centre = (weight * value).sum(axis=0) / weight.sum(axis=0)
-    return float(np.sqrt((weight * (value - centre) ** 2).sum() / weight.sum()))
+    for face in faces or (plane,):
+        _, shown, cells = _shown(bearings, Ts, face, scale, bool(faces))
+        if len(cells) < 2:
+            continue
+        low, shape = bounds(cells)
+        ridges = find_ridges(cells, low, shape, gate)
+        if ridges is None:
+            continue
+        count = np.zeros((len(cells), len(ridges.xy)))
+        mean = np.zeros_like(count)
+        for k, points in enumerate(cells):
+            sums = np.zeros((len(ridges.xy), 4))
+            associate(points - low, shown[k], ridges.label, ridges.xy, ridges.normal, gate, sums)
+            seen = sums[:, 0] >= c.REFINE_MIN_EVENTS
+            count[k] = np.where(seen, np.minimum(sums[:, 0], c.REFINE_MAX_EVENTS), 0.0)
+            mean[k] = np.where(seen, sums[:, 1] / np.maximum(sums[:, 0], 1.0), 0.0)
+        shared = (count > 0).sum(axis=0) >= 2
+        weight = count[:, shared]
+        value = mean[:, shared]
+        if not shared.any():
+            continue
+        centre = (weight * value).sum(axis=0) / weight.sum(axis=0)
+        squares += float((weight * (value - centre) ** 2).sum())
+        weights += float(weight.sum())
+    return float(np.sqrt(squares / weights)) if weights > 0 else float("inf")
 
 
-def _round(
+def _observations(
     bearings: list[Array],
     Ts: Array,
     plane: Plane,
-    start: tuple[Array, Plane],
     scale: float,
     gate: float,
     free: NDArray[np.bool_],
-    solve_normal: bool,
-    held: int,
-) -> tuple[Array, Plane, float, int, float] | None:
+    is_face: bool,
+) -> tuple[int, list[tuple[NDArray[Any], ...]]]:
+    """Return the number of landmarks on a plane, and for each view (view, landmark, weight, residual, Jacobian)."""
     R_map_world = rotation_to_map(plane.normal)
-    cells = [_to_cells(b, T, plane, R_map_world, scale) for b, T in zip(bearings, Ts, strict=True)]
+    views, shown, cells = _shown(bearings, Ts, plane, scale, is_face)
+    columns: list[tuple[NDArray[Any], ...]] = []
+    if len(cells) < 2:
+        return 0, columns
     low, shape = bounds(cells)
     ridges = find_ridges(cells, low, shape, gate)
     if ridges is None:
-        return None
-    L, K = len(ridges.xy), len(Ts)
+        return 0, columns
+    L = len(ridges.xy)
     d_normal = turn_normal_derivative(plane.normal, np.zeros(2))
-    columns: list[tuple[NDArray[Any], ...]] = []
-    for k in range(K):
+    for k, seen_by_k, points in zip(views, shown, cells, strict=True):
         sums = np.zeros((L, 4))
-        associate(cells[k] - low, bearings[k], ridges.label, ridges.xy, ridges.normal, gate, sums)
+        associate(points - low, seen_by_k, ridges.label, ridges.xy, ridges.normal, gate, sums)
         seen = np.flatnonzero(sums[:, 0] >= c.REFINE_MIN_EVENTS)
         if len(seen) == 0:
             continue
@@ -203,6 +241,27 @@ def _round(
         huber = 0.5 * gate
         weight = weight * np.where(np.abs(mean[:, 0]) > huber, huber / np.maximum(np.abs(mean[:, 0]), 1e-9), 1.0)
         columns.append((np.full(len(seen), k), seen, weight, mean[:, 0], J))
+    return L, columns
+
+
+def _round(
+    bearings: list[Array],
+    Ts: Array,
+    plane: Plane,
+    start: tuple[Array, Plane],
+    scale: float,
+    gate: float,
+    free: NDArray[np.bool_],
+    solve_normal: bool,
+    held: int,
+    faces: Sequence[Plane],
+) -> tuple[Array, Plane, float, int, float] | None:
+    K, total = len(Ts), 0
+    columns: list[tuple[NDArray[Any], ...]] = []
+    for face in faces or (plane,):
+        L, found = _observations(bearings, Ts, face, scale, gate, free, bool(faces))
+        columns += [(k, seen + total, *rest) for k, seen, *rest in found]
+        total += L
     if len(columns) < 2:
         return None
     view, landmark, weight, residual = (np.concatenate([col[i] for col in columns]) for i in range(4))
@@ -242,7 +301,7 @@ def _round(
         Ts[k, :3, :3] = R @ se3.exp_so3(dx[:3])
     plane = Plane(normal=turn_normal(plane.normal, x[-2:]), distance=plane.distance)
     rms = float(np.sqrt(np.average(residual**2, weights=weight)))
-    return Ts, plane, rms, L, float(limit)
+    return Ts, plane, rms, total, float(limit)
 
 
 def _offset(start: tuple[Array, Plane], Ts: Array, plane: Plane) -> Array:

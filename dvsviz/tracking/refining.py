@@ -19,6 +19,7 @@ from dvsviz.geometry.camera import Camera
 from dvsviz.geometry.plane import Plane
 from dvsviz.tracking import constants as c
 from dvsviz.tracking.align import align
+from dvsviz.tracking.panorama import is_full, nearest, turned_away
 from dvsviz.tracking.planar_map import PlanarMap
 from dvsviz.tracking.refine import View, refine
 from dvsviz.tracking.traces import Trace, add_to_map, correct, with_poses
@@ -32,8 +33,8 @@ class Revised:
 
     Attributes:
         traces: the same windows, re-expressed.
-        plane: the refined plane.
-        planar_map: the map made of them; None where nothing was gained and everything stays as it is.
+        plane: the refined plane; of a panorama the face of the last window.
+        planar_map: the map made of them on that plane; None where nothing was gained and everything stays as it is.
         text: what happened, for the log.
         accepted: True where the held-out disagreement fell; where it did not, poses are only put back on the map.
     """
@@ -53,13 +54,23 @@ class Refiner:
         camera: of the windows.
         free: mask (6,) of rotation and position.
         solve_normal: refine the plane's normal too.
+        is_panorama: the map is a panorama's: a plane holds a part of what is seen.
     """
 
     camera: Camera
     free: NDArray[np.bool_]
     solve_normal: bool
+    is_panorama: bool = False
 
-    def revise(self, traces: Sequence[Trace], plane: Plane, *, first: bool, passes: int = 1) -> Revised:
+    def revise(
+        self,
+        traces: Sequence[Trace],
+        plane: Plane,
+        *,
+        first: bool,
+        passes: int = 1,
+        faces: Sequence[Plane] = (),
+    ) -> Revised:
         """Return what takes the place of the traces and the map.
 
         Args:
@@ -67,19 +78,28 @@ class Refiner:
             plane: as known.
             first: also make the map anew where the refinement is refused: the first one was written while drifting.
             passes: how often every window is put back on the map, which is made anew each time.
+            faces: the planes of a panorama, in place of the one plane.
         """
         anchors = [t for t in traces if t.keyframe >= 0]
         if len(anchors) > c.REFINE_MAX_VIEWS:
             pick = np.unique(np.linspace(0, len(anchors) - 1, c.REFINE_MAX_VIEWS).round().astype(int))
             anchors = [anchors[i] for i in pick]
-        views = [View(bearings=t.deskewed(plane), T_world_camera=t.T_world_camera) for t in anchors]
+        planes = tuple(faces) or (plane,)
+        views = [
+            View(
+                bearings=t.deskewed(planes[nearest(planes, t.T_world_camera)]),
+                T_world_camera=t.T_world_camera,
+            )
+            for t in anchors
+        ]
         result = refine(
             views,
-            plane,
+            planes[0],
             self.camera.focal_px,
             free=self.free,
             solve_normal=self.solve_normal,
             rounds=c.REFINE_ROUNDS if passes > 1 or len(views) <= c.REFINE_EARLY else c.REFINE_ROUNDS_LATER,
+            faces=faces if len(faces) > 1 else (),
         )
         text = (
             f"refinement of {len(views)} keyframes: disagreement {result.before_px:.3f} to {result.after_px:.3f} px, "
@@ -88,15 +108,33 @@ class Refiner:
         kept = list(traces)
         if result.accepted:
             moved = {t.keyframe: T for t, T in zip(anchors, result.Ts_world_camera, strict=True)}
-            kept, plane = correct(kept, moved), result.plane
+            kept = correct(kept, moved)
+            planes = (result.plane,) if len(planes) == 1 else planes
         elif not first:
             return Revised(traces=tuple(traces), plane=plane, planar_map=None, text=text, accepted=False)
-        planar_map = self.build(kept, plane)
-        kept = self.put_back(planar_map, kept)
+        planar_map, kept = self._all_back(kept, planes)
         for _ in range(1, passes):
-            planar_map = self.build(kept, plane)
-            kept = self.put_back(planar_map, kept, first_level=2)
-        return Revised(traces=tuple(kept), plane=plane, planar_map=planar_map, text=text, accepted=result.accepted)
+            planar_map, kept = self._all_back(kept, planes, first_level=2)
+        return Revised(
+            traces=tuple(kept), plane=planar_map.plane, planar_map=planar_map, text=text, accepted=result.accepted
+        )
+
+    def _all_back(
+        self, traces: Sequence[Trace], planes: Sequence[Plane], *, first_level: int = 1
+    ) -> tuple[PlanarMap, list[Trace]]:
+        """Return the map (on the plane of the last window) and the traces put back, each on that of its own plane."""
+        number = np.array([nearest(planes, t.T_world_camera) for t in traces])
+        poses: dict[int, Array] = {}
+        last: PlanarMap | None = None
+        for k in dict.fromkeys([*number, number[-1]][::-1]):
+            planar_map = self.build(traces, planes[k])
+            last = planar_map if last is None else last
+            its = np.flatnonzero(number == k)
+            found = self._poses(planar_map, [traces[i] for i in its], first_level=first_level)
+            poses |= dict(zip(its.tolist(), found, strict=True))
+        if last is None:
+            raise ValueError("traces: expected at least one")
+        return last, with_poses(traces, [poses[i] for i in range(len(traces))])
 
     def settle(self, traces: Sequence[Trace], plane: Plane) -> Revised:
         """Return every window put back on the map of all, pulled to the first pose, again and again.
@@ -112,17 +150,29 @@ class Refiner:
         text = f"{len(kept)} windows put back on their common map"
         return Revised(traces=tuple(kept), plane=plane, planar_map=planar_map, text=text, accepted=False)
 
-    def build(self, traces: Sequence[Trace], plane: Plane) -> PlanarMap:
-        """Return the map of all traces, frozen where it was seen well."""
+    def build(self, traces: Sequence[Trace], plane: Plane, *, freeze_px: float = float("inf")) -> PlanarMap:
+        """Return the map of all traces, frozen where it was seen well.
+
+        Args:
+            traces: in time order; of a panorama those that show something of the face are taken.
+            plane: on which.
+            freeze_px: a block swept by more is no longer written while the map is made.
+        """
         size = np.array([self.camera.width, self.camera.height])
         planar_map = PlanarMap(
             plane,
             self.camera.focal_px / plane.distance,
             -0.5 * size * plane.distance / self.camera.focal_px,
             (self.camera.height, self.camera.width),
-            freeze_px=float("inf"),
+            freeze_px=freeze_px,
+            reach=c.FACE_REACH if self.is_panorama else float("inf"),
         )
+        if self.is_panorama:
+            away = turned_away(plane, traces)
+            traces = [t for t, angle in zip(traces, away, strict=True) if angle < c.FACE_SEEN_RAD]
         for trace in (t for t in traces if t.is_trusted):
+            if np.isfinite(freeze_px) and is_full(planar_map, trace, self.camera):
+                continue
             add_to_map(planar_map, trace, (self.camera.height, self.camera.width), self.camera.matrix)
         planar_map.freeze_px = c.FREEZE_DISPLACEMENT_PX
         planar_map.settle()
@@ -144,9 +194,12 @@ class Refiner:
         for trace in later:
             T = trace.T_world_camera
             moved = replace(trace, T_world_camera=se3.pose(R @ T[:3, :3], T[:3, 3] + shift))
-            moved = replace(moved, T_world_camera=self._aligned(planar_map, moved))
+            # Round the corner of a panorama there is nothing of this face to align with.
+            near = not self.is_panorama or turned_away(planar_map.plane, [moved])[0] < c.FACE_APART_RAD
+            if near:
+                moved = replace(moved, T_world_camera=self._aligned(planar_map, moved))
             poses.append(moved.T_world_camera)
-            if moved.is_trusted:
+            if moved.is_trusted and near:
                 add_to_map(planar_map, moved, sensor, self.camera.matrix)
         return with_poses(later, poses)
 
@@ -171,11 +224,13 @@ class Refiner:
         self, planar_map: PlanarMap, traces: Sequence[Trace], *, anchored: float = 0.0, first_level: int = 1
     ) -> list[Trace]:
         """Return the traces aligned with a map, on both cores."""
+        return with_poses(traces, self._poses(planar_map, traces, anchored=anchored, first_level=first_level))
+
+    def _poses(
+        self, planar_map: PlanarMap, traces: Sequence[Trace], *, anchored: float = 0.0, first_level: int = 1
+    ) -> list[Array]:
         planar_map.pyramid()
         with ThreadPoolExecutor(c.CORES) as pool:
-            return with_poses(
-                traces,
-                list(
-                    pool.map(partial(self._aligned, planar_map, anchored=anchored, first_level=first_level), traces)
-                ),
+            return list(
+                pool.map(partial(self._aligned, planar_map, anchored=anchored, first_level=first_level), traces)
             )

@@ -127,6 +127,9 @@ def pack(motion: Motion, mapper: Mapper) -> dict[str, np.ndarray]:
         "trace_poses": np.array([t.T_world_camera for t in mapper.traces]).reshape(-1, 4, 4),
         "trace_velocities": np.array([[t.omega, t.velocity] for t in mapper.traces]).reshape(-1, 2, 3),
     }
+    if mapper.panorama is not None:
+        state["faces"] = np.stack([p.normal for p in mapper.panorama.faces])
+        state["faces_made_at"] = np.array([*mapper.panorama.made_at, mapper.panorama.current], dtype=np.int64)
     if mapper.job is not None:
         state["job"] = np.array([mapper.job.count, mapper.job.land_at], dtype=np.int64)
     if mapper.map is not None:
@@ -165,6 +168,11 @@ def unpack(
             int(v) for v in state["counters"]
         )
         mapper.plane = Plane(normal=np.array(state["normal_world"]), distance=float(state["distance"][0]))
+        if mapper.panorama is not None and "faces" in state:
+            # A branch may go on as another motion than the one that was stored.
+            mapper.panorama.faces = [Plane(normal=np.array(n)) for n in state["faces"]]
+            *mapper.panorama.made_at, mapper.panorama.current = (int(v) for v in state["faces_made_at"])
+            mapper.plane = mapper.panorama.plane
         mapper.refinements, mapper.revision, mapper.tried_at = refinements, revision, tried_at
         mapper.revision_at_keyframes = revision_at
         for integers, T, speeds in zip(
@@ -191,6 +199,7 @@ def unpack(
                 np.array(state["map_origin"]),
                 (votes.shape[0], votes.shape[1]),
                 freeze_px=freeze,
+                reach=float("inf") if mapper.panorama is None else c.FACE_REACH,
             )
             mapper.map.votes = votes
             mapper.map.exposure = np.array(state["map_exposure"], dtype=np.float32)

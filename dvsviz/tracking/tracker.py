@@ -277,6 +277,9 @@ class Tracker:
         )
         velocity = se3.exp_so3(self._motion.omega * dt_predict).T @ self._motion.velocity
         omega = self._motion.omega
+        closed = self._mapper.look(predicted)
+        if closed is not None:
+            self._motion.T_world_camera, predicted = closed @ self._motion.T_world_camera, closed @ predicted
         mid_s = (mid_us - window.start_us) * 1e-6
         # Where tracking is well the coarsest level has nothing to find; it is asked where the fit is poor.
         first = 1 if self._motion.status is Status.TRACKING else 0
@@ -353,11 +356,12 @@ class Tracker:
         self._motion.omega = solution.omega
         self._motion.velocity = se3.exp_so3(solution.omega * mid_s).T @ solution.velocity
         trace = self._trace(window, sampled, mid_us, self._motion.T_world_camera)
+        planar_map, keyframes = self._mapper.to_search(self._motion.searches - 1)
         found = relocalize(
-            self._mapper.live_map,
+            planar_map,
             self.camera,
             trace.deskewed(self._mapper.plane).astype(np.float32),
-            self._mapper.keyframe_poses(c.RELOCALIZE_KEYFRAMES),
+            keyframes,
             free=self._free,
         )
         if found is None:
@@ -370,6 +374,7 @@ class Tracker:
             near = found.score > 0.5 * c.RELOCALIZE_SCORE * self._motion.good_score
             self._motion.status = Status.RELOCALIZING if near else Status.LOST
             return trace, None, ""
+        self._mapper.look(found.T_world_camera, may_close=False)
         alignment = self._align(
             sampled, mid_s, found.T_world_camera, self._motion.omega, self._motion.velocity, None
         )

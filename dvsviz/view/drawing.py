@@ -52,7 +52,7 @@ def draw(shown: ShownSession, window: int, kind: ImageKind, options: ImageOption
             # An older map lies on an older plane, and lacks what was seen since.
             poses = shown.poses()
             moving = as_tracked(shown, events, poses)
-            return images.overlay_picture(moving, poses[window], shown.newest_map(), camera, options)
+            return images.overlay_picture(moving, poses[window], shown.newest_map(poses[window]), camera, options)
         case ImageKind.TRUTH | ImageKind.ALIGNED:
             return _true_picture(shown, window, kind, events, options)
 
@@ -88,7 +88,11 @@ def _true_picture(
             moving.append(MovingWindow(window=part, T_world_camera=T, omega=omega, velocity=velocity))
     if not moving or moving[0].window.index != window:
         return None
-    T, camera, revision = moving[0].T_world_camera, shown.session.header.camera, shown.newest_map()
+    T, camera, revision = (
+        moving[0].T_world_camera,
+        shown.session.header.camera,
+        shown.newest_map(moving[0].T_world_camera),
+    )
     if kind is ImageKind.ALIGNED:
         return images.overlay_picture(moving, T, revision, camera, options)
     plane = Plane(normal=shown.result(window).normal_world)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from dvsviz.errors import DvsvizError
 from dvsviz.session.records import STATUSES
 from dvsviz.view.images import map_levels
+from dvsviz.view.panorama import equirectangular
 from dvsviz.view.shown import ShownSession
 
 _POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
@@ -62,7 +64,7 @@ def figures_csv(shown: ShownSession) -> str:
 
 
 def map_png(shown: ShownSession) -> bytes:
-    """Return the newest map as a grey PNG, 0 no edge to 255 a sure one.
+    """Return the newest map as a grey PNG, 0 no edge to 255 a sure one; a panorama as all directions round the camera.
 
     Raises:
         DvsvizError: the session holds no map.
@@ -72,4 +74,7 @@ def map_png(shown: ShownSession) -> bytes:
         raise DvsvizError(
             "the session holds no map", path=shown.session.path, hint="it appears with the first keyframe"
         )
+    faces = shown.faces()
+    if len(faces) > 1:
+        revision = replace(revision, texture=equirectangular(faces))
     return map_levels(revision).png()

@@ -66,6 +66,7 @@ class ShownSession:
         self._created = self.session.header.created
         self._has_truth = False
         self._revisions: list[tuple[int, int]] = []
+        self._faces: list[tuple[NDArray[np.float64], int]] = []
         self._keyframes: tuple[StoredKeyframe, ...] = ()
         self._maps: OrderedDict[int, MapRevision] = OrderedDict()
         self._errors: WindowErrors | None = None
@@ -100,7 +101,12 @@ class ShownSession:
     def _look_up(self) -> None:
         """Keep what every picture asks for: which map holds from which window on, and the keyframes."""
         self._has_truth = self._has_truth or self.session.ground_truth is not None
-        self._revisions = [(m.window, m.revision) for m in self.session.map_revisions]
+        revisions = self.session.map_revisions
+        self._revisions = [(m.window, m.revision) for m in revisions]
+        # A face of a panorama keeps its plane; a plane that is refined is another one, and only the newest holds.
+        is_panorama = '"motion": "rotation"' in self.session.header.config_json
+        newest = {tuple(m.normal_world.tolist()): m for m in revisions} if is_panorama else {}
+        self._faces = [(m.normal_world, m.revision) for m in newest.values()]
         self._keyframes = self.session.keyframes
 
     @property
@@ -217,10 +223,20 @@ class ShownSession:
         """Return the number of the newest map revision, the one that belongs with the refined poses; -1 without."""
         return self._revisions[-1][1] if self._revisions else -1
 
-    def newest_map(self) -> MapRevision | None:
-        """Return the newest map: plane and texture fit the poses as they are known now."""
+    def newest_map(self, T_world_camera: NDArray[np.float64] | None = None) -> MapRevision | None:
+        """Return the newest map: plane and texture fit the poses as they are known now.
+
+        Args:
+            T_world_camera: a pose (4, 4) that looks at it: of a panorama that face is taken.
+        """
         number = self.map_now()
+        if T_world_camera is not None and self._faces:
+            number = self._faces[int(np.argmin([n @ T_world_camera[:3, 2] for n, _ in self._faces]))][1]
         return None if number < 0 else self._map(number)
+
+    def faces(self) -> tuple[MapRevision, ...]:
+        """Return the newest revision of each face of a panorama, in the order the faces were made; none of a plane."""
+        return tuple(self.session.map_revision(number) for _, number in self._faces)
 
     def events_from(self, window: int, count: int, ms: float) -> tuple[EventWindow, ...]:
         """Return the events of `count` windows from one on, or of so many milliseconds; none where they are gone.
