@@ -123,15 +123,15 @@ class Refiner:
         self, traces: Sequence[Trace], planes: Sequence[Plane], *, first_level: int = 1
     ) -> tuple[PlanarMap, list[Trace]]:
         """Return the map (on the plane of the last window) and the traces put back, each on that of its own plane."""
-        number = np.array([nearest(planes, t.T_world_camera) for t in traces])
+        number = [nearest(planes, t.T_world_camera) for t in traces]
         poses: dict[int, Array] = {}
         last: PlanarMap | None = None
         for k in dict.fromkeys([*number, number[-1]][::-1]):
             planar_map = self.build(traces, planes[k])
             last = planar_map if last is None else last
-            its = np.flatnonzero(number == k)
+            its = [i for i, n in enumerate(number) if n == k]
             found = self._poses(planar_map, [traces[i] for i in its], first_level=first_level)
-            poses |= dict(zip(its.tolist(), found, strict=True))
+            poses |= dict(zip(its, found, strict=True))
         if last is None:
             raise ValueError("traces: expected at least one")
         return last, with_poses(traces, [poses[i] for i in range(len(traces))])
