@@ -11,6 +11,7 @@ from dvsviz.errors import ConfigError
 Motion = Literal["planar", "translation", "rotation", "auto"]
 Mode = Literal["map", "contrast"]
 Objective = Literal["variance", "gradient", "highpass", "michelson"]
+ImuUse = Literal["auto", "off"]
 
 
 def _is_whole(value: object) -> bool:
@@ -34,6 +35,7 @@ class TrackerConfig:
         window: events a window; None lets the image motion choose.
         max_window_ms: a window also ends after this time.
         plane_distance: metres from the first camera to the plane, for metric output; None leaves d = 1.
+        imu: `auto` predicts rotations with the recording's gyroscope where there is one, and bridges what says nothing.
         seed: of every random choice.
     """
 
@@ -43,6 +45,7 @@ class TrackerConfig:
     window: int | None = None
     max_window_ms: float = 100.0
     plane_distance: float | None = None
+    imu: ImuUse = "off"
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -50,6 +53,7 @@ class TrackerConfig:
             ("motion", self.motion, get_args(Motion)),
             ("mode", self.mode, get_args(Mode)),
             ("objective", self.objective, get_args(Objective)),
+            ("imu", self.imu, get_args(ImuUse)),
         ):
             if value not in choices:
                 raise ConfigError(f"{name}: expected one of {', '.join(choices)}, got {value!r}")

@@ -38,7 +38,7 @@ def test_settings_left_out_take_their_defaults() -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ('{"windw": 100}', "unknown setting windw; known are max_window_ms, mode, motion, objective"),
+        ('{"windw": 100}', "unknown setting windw; known are imu, max_window_ms, mode, motion"),
         ('{"motion": "spiral"}', "motion: expected one of planar"),
         ('{"mode": "guess"}', "mode: expected one of map, contrast, got 'guess'"),
         ('{"objective": "entropy"}', "objective: expected one of variance, gradient, highpass, michelson"),
@@ -75,6 +75,7 @@ def test_every_setting_is_written() -> None:
         "window",
         "max_window_ms",
         "plane_distance",
+        "imu",
         "seed",
     }
 

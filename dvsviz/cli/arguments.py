@@ -17,7 +17,7 @@ from dvsviz.cli.export_arguments import Export, Poses, Report
 from dvsviz.cli.options import Calibration, Flag, Folder, Json, Repair, Size, option, read_number, read_roi
 from dvsviz.cli.registration_arguments import Register
 from dvsviz.cli.simulation_arguments import Simulate, SimulateSuite
-from dvsviz.config import Mode, Motion, Objective
+from dvsviz.config import ImuUse, Mode, Motion, Objective
 from dvsviz.errors import DvsvizError
 
 if TYPE_CHECKING:
@@ -37,6 +37,12 @@ class Command(Protocol):
     def run(self) -> int:
         """Do it and return the exit code."""
         ...
+
+
+def _imu(word: str) -> str:
+    if word not in get_args(ImuUse):
+        raise ValueError(f"expected one of {', '.join(get_args(ImuUse))}, got {word}")
+    return word
 
 
 def _motion(word: str) -> str:
@@ -115,6 +121,8 @@ class Tracking(Opening):
     """What is maximised where contrast is: highpass and michelson are for study."""
     window: Annotated[int | None, *option("N", read_number(int), "chosen by the image motion")] = None
     """Events a window; a window also ends after 100 ms."""
+    imu: Annotated[ImuUse | None, *option("{auto,off}", _imu, "off")] = None
+    """auto: rotations are predicted by the recording's gyroscope, and go on by it where nothing is seen."""
     plane_distance: Annotated[float | None, *option("METRES", read_number(float), "not known")] = None
     """Distance from the first camera to the plane, for metric output."""
 

@@ -98,6 +98,7 @@ def config_of(command: Tracking) -> TrackerConfig:
         objective=command.objective or "variance",
         window=command.window,
         plane_distance=command.plane_distance,
+        imu=command.imu or "off",
     )
 
 
@@ -114,6 +115,7 @@ def _resumed_config(command: Track, out: Path) -> TrackerConfig | None:
         window=command.window or stored.window,
         max_window_ms=stored.max_window_ms,
         plane_distance=command.plane_distance or stored.plane_distance,
+        imu=command.imu or stored.imu,
         seed=stored.seed,
     )
 

@@ -159,7 +159,9 @@ def _restored(recording: Recording, session: Session, window: int) -> tuple[Trac
     found = session.checkpoint_at(window - 1) if window > 0 else None
     if found is not None:
         try:
-            return Tracker.restore(recording.camera, config, found[1], recording.events), found[0] + 1
+            return Tracker.restore(recording.camera, config, found[1], recording.events, recording.imu), found[
+                0
+            ] + 1
         except ValueError as error:
             # Of another version of the program: what led there is tracked again.
             _log.info("checkpoint of window %d of %s: %s", found[0], session.name, error)
@@ -169,7 +171,7 @@ def _restored(recording: Recording, session: Session, window: int) -> tuple[Trac
             f"{session.name} was tried by another version of dvsviz, which cannot be gone on with",
             hint="try its origin again",
         )
-    return Tracker(recording.camera, config), 0
+    return Tracker(recording.camera, config, recording.imu), 0
 
 
 def _changed(recording: Recording, tracker: Tracker, wanted: Branch) -> Tracker:
@@ -177,9 +179,9 @@ def _changed(recording: Recording, tracker: Tracker, wanted: Branch) -> Tracker:
     config = wanted.config
     if wanted.window > 0:
         state = tracker.checkpoint()
-        tracker = Tracker.restore(recording.camera, config, state, recording.events)
+        tracker = Tracker.restore(recording.camera, config, state, recording.events, recording.imu)
     else:
-        tracker = Tracker(recording.camera, config)
+        tracker = Tracker(recording.camera, config, recording.imu)
     if wanted.T_world_camera is not None:
         tracker.place(wanted.T_world_camera)
     return tracker

@@ -155,7 +155,7 @@ class Run:
         first_event = part_events(recording, header)[0]
         writer = SessionWriter.create(out, header, force=force)
         try:
-            tracker = Tracker(recording.camera, config)
+            tracker = Tracker(recording.camera, config, recording.imu)
             run = cls(recording, header, writer, tracker, first_event, compile_s=compile_s)
             if recording.ground_truth is not None and len(recording.ground_truth):
                 writer.set_ground_truth(recording.ground_truth)
@@ -185,9 +185,9 @@ class Run:
         compile_s = warm_up(stored)
         writer = SessionWriter.resume(out, windows=found[0] + 1 if found else 0)
         try:
-            tracker = Tracker(recording.camera, stored)
+            tracker = Tracker(recording.camera, stored, recording.imu)
             if found:
-                tracker = Tracker.restore(recording.camera, stored, found[1], recording.events)
+                tracker = Tracker.restore(recording.camera, stored, found[1], recording.events, recording.imu)
             return cls(recording, header, writer, tracker, first_event, compile_s=compile_s)
         except BaseException:
             writer.abandon()

@@ -228,6 +228,24 @@ RELIEF_DISPLACEMENT_PX: Final = 5.0
 # Contrast by contrast without motion below which a window says nothing.
 RELIEF_GAIN: Final = 1.03
 
+# --- gyroscope ----------------------------------------------------------------------------------------------
+# Standard deviation of a bias that nobody knows yet, rad/s: that of rotdisk's sensor is 0.056.
+GYRO_BIAS_RAD_S: Final = 0.05
+# Noise of a turn, rad² a second: 0.003 rad/s of each sample at 1 kHz is 1e-8; a MEMS sensor with vibration ten times.
+GYRO_NOISE_RAD_S2: Final = 1e-7
+# Walk of the bias, rad/s an sqrt(s).
+GYRO_WALK: Final = 2e-4
+# Time over which a tracked rotation is compared, s, and its standard deviation at either end, rad.
+GYRO_LEARN_S: Final = 0.5
+GYRO_TRACKED_RAD: Final = 0.004
+# Standard deviation, rad, of a tracked pose that the next one is predicted from: a tighter prior would keep its error.
+GYRO_POSE_RAD: Final = 0.005
+# Longest gap between two samples that is bridged, us.
+GYRO_GAP_US: Final = 50_000
+# How fast the position grows uncertain while nothing is seen, plane distances a second, and how far.
+GYRO_DRIFT: Final = 0.1
+GYRO_DRIFT_MOST: Final = 0.15
+
 # --- failures -----------------------------------------------------------------------------------------------
 FAILURE_EVENTS: Final = 300
 # Image displacement in one window, px, beyond the reach of the alignment's coarsest blur.

@@ -22,7 +22,7 @@ from dvsviz.tracking.align import align
 from dvsviz.tracking.panorama import is_full, nearest, turned_away
 from dvsviz.tracking.planar_map import PlanarMap
 from dvsviz.tracking.refine import View, refine
-from dvsviz.tracking.traces import Trace, add_to_map, correct, with_poses
+from dvsviz.tracking.traces import HELD, Trace, add_to_map, correct, with_poses
 
 Array = NDArray[np.float64]
 
@@ -206,6 +206,8 @@ class Refiner:
     def _aligned(
         self, planar_map: PlanarMap, trace: Trace, *, anchored: float = 0.0, first_level: int = 1
     ) -> Array:
+        if trace.keyframe == HELD:
+            return trace.T_world_camera
         step = max(1, len(trace.bearings) // c.ALIGN_EVENTS)
         return align(
             planar_map,

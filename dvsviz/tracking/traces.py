@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 # window exact to 1e-4 rad.
 _NODES = 5
 
+HELD = -2
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Trace:
@@ -40,7 +42,7 @@ class Trace:
         bearings: sampled events (N, 2) float32.
         t_s: their times (N,) since `start_us`.
         events: how many events the window had: what the sample stands for.
-        keyframe: its keyframe number, or -1.
+        keyframe: its keyframe number, or -1; `HELD` where it said nothing and its pose must not be asked of its events.
         is_trusted: True where it may write to the map.
     """
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from dvsviz.config import TrackerConfig
 from dvsviz.contrast.iwe import sample_window
 from dvsviz.contrast.solve import ContrastSolution
-from dvsviz.events.recording import EventSource
+from dvsviz.events.recording import EventSource, Imu
 from dvsviz.events.windows import EventWindow
 from dvsviz.geometry import se3
 from dvsviz.geometry.camera import Camera
@@ -34,13 +34,14 @@ from dvsviz.tracking.align import Alignment, align, free_parameters
 from dvsviz.tracking.bootstrap import motion_by_contrast
 from dvsviz.tracking.by_contrast import follow_by_contrast
 from dvsviz.tracking.failures import FailureWatch, cause_of
+from dvsviz.tracking.gyro import Gyro, prior_by_gyro
 from dvsviz.tracking.judging import judge
 from dvsviz.tracking.keyframe_map import mapper_of
-from dvsviz.tracking.measure import measure
+from dvsviz.tracking.measure import WindowImages, measure
 from dvsviz.tracking.prediction import difference
 from dvsviz.tracking.relocalize import relocalize
 from dvsviz.tracking.state import Motion, pack, unpack
-from dvsviz.tracking.traces import Trace
+from dvsviz.tracking.traces import HELD, Trace
 from dvsviz.tracking.translation import ReliefOdometry
 
 Array = NDArray[np.float64]
@@ -52,12 +53,13 @@ class Tracker:
     Args:
         camera: the calibrated camera.
         config: settings; the defaults need none.
+        imu: the recording's, used where `config.imu` is `auto`.
 
     Attributes:
         stretch: how much more than the wanted image motion a window may cover, for a stream that is behind.
     """
 
-    def __init__(self, camera: Camera, config: TrackerConfig | None = None) -> None:
+    def __init__(self, camera: Camera, config: TrackerConfig | None = None, imu: Imu | None = None) -> None:
         # Sharp lenses have pixels to spare: the tracker's images have as many as its accuracy can use.
         self.camera = camera.reduced(c.FOCAL_PX)
         self._most_events = round(c.WINDOW_EVENTS_MAX * max(1.0, camera.width * camera.height / c.WINDOW_PIXELS))
@@ -67,6 +69,7 @@ class Tracker:
         self._motion = Motion.start(self._free)
         self.stretch = 1.0
         self._failures = FailureWatch()
+        self._gyro = Gyro(imu) if imu is not None and self.config.imu == "auto" and len(imu.t_us) > 1 else None
         # A camera that only turns sees no depth.
         uneven = c.RELIEF_UNEVEN_TOLD if self.config.motion == "planar" else c.RELIEF_UNEVEN
         self._relief = ReliefOdometry(self.camera, uneven) if self.config.motion != "rotation" else None
@@ -105,15 +108,20 @@ class Tracker:
         else:
             trace, alignment = self._follow(window, sampled, mid_us)
         images = measure(self.camera, self._mapper.plane, window, trace)
-        judged = judge(
-            self._motion,
-            self._mapper,
-            self._free,
-            trace,
-            alignment,
-            images,
-            None if relief is None else relief.gain,
-        )
+        bridged = self._bridge(trace, alignment, images)
+        if bridged is not None:
+            trace, judged = bridged
+        else:
+            judged = judge(
+                self._motion,
+                self._mapper,
+                self._free,
+                trace,
+                alignment,
+                images,
+                None if relief is None else relief.gain,
+            )
+            self._learn_bias(trace)
         if judged.note:
             note = judged.note
         overlap = diagnose.overlap(self._mapper.live_map, images, trace.T_world_camera, self.camera)
@@ -139,7 +147,10 @@ class Tracker:
         elif self._motion.status is Status.WEAK:
             self._mapper.remember(trace)
         if relief is None:
+            before = trace
             trace = self._mapper.advance(trace)
+            if self._gyro is not None and trace is not before:
+                self._gyro.forget_anchor()
         if self._mapper.must_relocalize:
             self._mapper.must_relocalize, self._motion.status = False, Status.LOST
         if self._motion.status not in (Status.LOST, Status.RELOCALIZING):
@@ -277,6 +288,12 @@ class Tracker:
         )
         velocity = se3.exp_so3(self._motion.omega * dt_predict).T @ self._motion.velocity
         omega = self._motion.omega
+        prior = None
+        if self._gyro is not None and self._gyro.covers(self._motion.t_us, mid_us):
+            turn = self._gyro.turn(self._motion.t_us, mid_us)
+            predicted[:3, :3] = self._motion.T_world_camera[:3, :3] @ turn
+            omega, velocity = self._gyro.rate(mid_us), turn.T @ self._motion.velocity
+            prior = prior_by_gyro(self._gyro, dt, (mid_us - self._gyro.seen_us) * 1e-6)
         closed = self._mapper.look(predicted)
         if closed is not None:
             self._motion.T_world_camera, predicted = closed @ self._motion.T_world_camera, closed @ predicted
@@ -285,15 +302,52 @@ class Tracker:
         first = 1 if self._motion.status is Status.TRACKING else 0
         if dt > dt_predict:
             self._motion.filter.forget()
-        prior = self._motion.filter.predict(dt_predict) * c.FILTER_CORRELATED
+        known = self._motion.filter.predict(dt_predict) * c.FILTER_CORRELATED
+        by_gyro = prior is not None
+        prior = known if prior is None else prior
         alignment = self._align(sampled, mid_s, predicted, omega, velocity, prior, first_level=first)
         if first > 0 and self._agreed(alignment) < c.WEAK_RATIO * self._motion.good_score:
-            wider = self._align(sampled, mid_s, predicted, omega, velocity, None)
+            wider = self._align(sampled, mid_s, predicted, omega, velocity, prior if by_gyro else None)
             alignment = max(alignment, wider, key=self._agreed)
         T = alignment.T_world_camera
         change = self._motion.filter.correct(difference(predicted, T), alignment.information, dt_predict)
+        if by_gyro:
+            # A gyroscope's rate is better than what two poses say.
+            change[:3] = 0.0
         self._motion.omega, self._motion.velocity = omega + change[:3], velocity + change[3:]
         return self._trace(window, sampled, mid_us, T), alignment
+
+    def _bridge(
+        self, trace: Trace, alignment: Alignment | None, images: WindowImages
+    ) -> tuple[Trace, diagnose.Judgement] | None:
+        """Return a window that says nothing, turned on by the gyroscope where the camera was last seen; else None."""
+        motion, gyro = self._motion, self._gyro
+        if gyro is None or alignment is None or not gyro.covers(motion.t_us, trace.mid_us):
+            return None
+        agreed = diagnose.agreement(self._mapper.live_map, alignment.value, trace.T_world_camera, self.camera)
+        says_nothing = trace.events < c.FAILURE_EVENTS or images.edge_pixels < c.TEXTURE_EDGE_PIXELS
+        # Where a camera that only turns comes out of the dark before something new, only the gyroscope knows where.
+        is_new = not self._free[3:].any() and motion.status is Status.WEAK and agreed.inside < c.LOST_INSIDE
+        if agreed.score > c.LOST_RATIO * motion.good_score or not (says_nothing or is_new):
+            return None
+        T = motion.T_world_camera.copy()
+        T[:3, :3] = T[:3, :3] @ gyro.turn(motion.t_us, trace.mid_us)
+        motion.status, motion.bad_windows = Status.WEAK, 0
+        gyro.forget_anchor()
+        trace = replace(trace, T_world_camera=T, omega=gyro.rate(trace.mid_us), velocity=np.zeros(3), keyframe=HELD)
+        unknown = diagnose.Judgement.unknown()
+        return trace, replace(unknown, score=agreed.score, is_trusted=is_new and not says_nothing)
+
+    def _learn_bias(self, trace: Trace) -> None:
+        """Let the gyroscope's bias follow well-tracked rotations."""
+        if self._gyro is None:
+            return
+        if self._motion.status in (Status.TRACKING, Status.WEAK, Status.INITIALIZING):
+            self._gyro.seen_us = trace.mid_us
+        if self._motion.status is Status.TRACKING and self._mapper.refinements > 0:
+            self._gyro.learn(trace.mid_us, trace.T_world_camera[:3, :3])
+        else:
+            self._gyro.forget_anchor()
 
     def _agreed(self, alignment: Alignment) -> float:
         """Return the chance-normalised score of an alignment."""
@@ -395,11 +449,18 @@ class Tracker:
     def checkpoint(self) -> dict[str, np.ndarray]:
         """Return the whole state as named arrays, from which `restore` goes on with the same results."""
         state = pack(self._motion, self._mapper)
+        if self._gyro is not None:
+            state |= self._gyro.pack()
         return state if self._relief is None else state | self._relief.pack()
 
     @classmethod
     def restore(
-        cls, camera: Camera, config: TrackerConfig, state: Mapping[str, np.ndarray], source: EventSource
+        cls,
+        camera: Camera,
+        config: TrackerConfig,
+        state: Mapping[str, np.ndarray],
+        source: EventSource,
+        imu: Imu | None = None,
     ) -> Tracker:
         """Return a tracker that goes on where `checkpoint` was taken.
 
@@ -408,11 +469,14 @@ class Tracker:
             config: the same as then.
             state: what `checkpoint` returned.
             source: the recording's events.
+            imu: the same as then.
 
         Raises:
             ValueError: the state was made by another version or is incomplete.
         """
-        tracker = cls(camera, config)
+        tracker = cls(camera, config, imu)
+        if tracker._gyro is not None and "gyro_bias" in state:
+            tracker._gyro.unpack(state)
         tracker._motion = unpack(state, camera, config.seed, tracker._mapper, source)
         # A branch may go on as another motion than the one that was stored.
         if tracker._relief is not None and "relief" in state:
