@@ -9,6 +9,7 @@ const WORDS = {
   window: { label: "Window", unit: "events", empty: "automatic", title: "Events a window; empty lets the image motion choose" },
   max_window_ms: { label: "Longest window", unit: "ms", title: "A window also ends after this time" },
   plane_distance: { label: "Plane distance", unit: "m", empty: "not known", title: "Metres from the first camera to the plane, for metric output; empty leaves 1" },
+  imu: { label: "Gyroscope", choices: { off: "not used", auto: "where there is one" }, title: "Predicts rotations, and carries them over what says nothing" },
   seed: { label: "Seed", title: "Of every random choice: the same seed, the same result" },
 };
 
