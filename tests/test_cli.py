@@ -123,7 +123,7 @@ def test_wrong_options_say_so_in_one_line(argv: list[str], said: str, capsys: py
 
 
 def test_choices_are_those_of_the_simulator() -> None:
-    assert get_args(simulation_arguments.Scene) == (*get_args(SceneName), *get_args(ReliefName))
+    assert (*get_args(SceneName), *get_args(ReliefName), "room") == simulation_arguments.SCENES
     assert (*get_args(MotionName), *get_args(FlightName)) == simulation_arguments.MOTIONS
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, Union, get_args
@@ -39,34 +39,15 @@ class Command(Protocol):
         ...
 
 
-def _imu(word: str) -> str:
-    if word not in get_args(ImuUse):
-        raise ValueError(f"expected one of {', '.join(get_args(ImuUse))}, got {word}")
-    return word
+def _one_of(choices: object) -> Callable[[str], str]:
+    """Return a reader of one of a literal type's words."""
 
+    def read(word: str) -> str:
+        if word not in get_args(choices):
+            raise ValueError(f"expected one of {', '.join(get_args(choices))}, got {word}")
+        return word
 
-def _motion(word: str) -> str:
-    if word not in get_args(Motion):
-        raise ValueError(f"expected one of {', '.join(get_args(Motion))}, got {word}")
-    return word
-
-
-def _mode(word: str) -> str:
-    if word not in get_args(Mode):
-        raise ValueError(f"expected one of {', '.join(get_args(Mode))}, got {word}")
-    return word
-
-
-def _objective(word: str) -> str:
-    if word not in get_args(Objective):
-        raise ValueError(f"expected one of {', '.join(get_args(Objective))}, got {word}")
-    return word
-
-
-def _target(word: str) -> str:
-    if word not in get_args(Target):
-        raise ValueError(f"expected one of {', '.join(get_args(Target))}, got {word}")
-    return word
+    return read
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,17 +92,19 @@ class Opening:
 class Tracking(Opening):
     """How a recording is tracked."""
 
-    motion: Annotated[Motion | None, *option("{planar,translation,rotation}", _motion, "planar")] = None
+    motion: Annotated[Motion | None, *option("{planar,translation,rotation,auto}", _one_of(Motion), "planar")] = (
+        None
+    )
     """planar: 6-DoF in front of a plane; translation: no rotation; rotation: no translation."""
-    mode: Annotated[Mode | None, *option("{map,contrast}", _mode, "map")] = None
+    mode: Annotated[Mode | None, *option("{map,contrast}", _one_of(Mode), "map")] = None
     """map: windows are aligned with the edge map; contrast: contrast maximization all through, slower."""
     objective: Annotated[
-        Objective | None, *option("{" + ",".join(get_args(Objective)) + "}", _objective, "variance")
+        Objective | None, *option("{" + ",".join(get_args(Objective)) + "}", _one_of(Objective), "variance")
     ] = None
     """What is maximised where contrast is: highpass and michelson are for study."""
     window: Annotated[int | None, *option("N", read_number(int), "chosen by the image motion")] = None
     """Events a window; a window also ends after 100 ms."""
-    imu: Annotated[ImuUse | None, *option("{auto,off}", _imu, "off")] = None
+    imu: Annotated[ImuUse | None, *option("{auto,off}", _one_of(ImuUse), "off")] = None
     """auto: rotations are predicted by the recording's gyroscope, and go on by it where nothing is seen."""
     plane_distance: Annotated[float | None, *option("METRES", read_number(float), "not known")] = None
     """Distance from the first camera to the plane, for metric output."""
@@ -157,7 +140,9 @@ class Convert(Opening):
     """The recording: file, folder or archive."""
     out: Annotated[Positional[Path], arg(metavar="OUT")]
     """What is written."""
-    to: Annotated[Target | None, *option("{hdf5,uzh,dsec,aedat4,tum}", _target, "told by the ending of OUT")] = None
+    to: Annotated[
+        Target | None, *option("{hdf5,uzh,dsec,aedat4,tum}", _one_of(Target), "told by the ending of OUT")
+    ] = None
     """The format; tum writes the true poses alone."""
     start: Annotated[float | None, *option("SECONDS", read_number(float), "the first event")] = None
     """Seconds after the first event."""
@@ -306,7 +291,9 @@ class Serve:
     """Track a network stream or a connected camera, and watch it."""
     record: Annotated[Path | None, *option("FILE.h5", Path, "none")] = None
     """Record the whole live stream."""
-    motion: Annotated[Motion | None, *option("{planar,translation,rotation}", _motion, "planar")] = None
+    motion: Annotated[Motion | None, *option("{planar,translation,rotation,auto}", _one_of(Motion), "planar")] = (
+        None
+    )
     """How the live stream is tracked."""
     calibration: Calibration = None
     rerun: Flag = False

@@ -10,10 +10,10 @@ from tyro.conf import arg
 
 from dvsviz.cli.options import Flag, option, read_size
 
-SCENES = ("shapes", "poster", "stripes", "checkerboard", "planes", "boxes", "carpet")
+SCENES = ("shapes", "poster", "stripes", "checkerboard", "planes", "boxes", "carpet", "room")
 _PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
 Layout = Literal["hdf5", "uzh", "rgbd"]
-MOTIONS = ("handheld", "slider", "rotation", "shake", "circle", "rectangle", "lawnmower")
+MOTIONS = ("handheld", "slider", "rotation", "turn", "shake", "circle", "rectangle", "lawnmower")
 
 
 def _motion(word: str) -> str:
@@ -43,6 +43,7 @@ class Simulate:
                dvsviz simulate --scene boxes --motion circle --seconds 8 --out flight.h5
                dvsviz simulate --scene carpet --motion lawnmower --layout rgbd --out flight
                dvsviz simulate --scene photo.jpg --motion real-groundtruth.tum --out mine.h5
+               dvsviz simulate --scene room --motion turn --seconds 20 --out turn.h5
                dvsviz simulate --motion shake --size 240x180 --layout rgbd --exposure-ms 10 --out frames
     """
 
@@ -50,7 +51,7 @@ class Simulate:
     """What to write: a file, or a folder where the layout is one."""
     scene: Annotated[str, *option("{" + ",".join(SCENES) + "}|PICTURE", _scene, "shapes")] = "shapes"
     """What is on the wall, a picture of one's own 2 m wide; or a scene with depth: planes, boxes on a plain floor,
-    boxes on a carpet."""
+    boxes on a carpet; a room all around a camera that only turns."""
     motion: Annotated[str, *option("{" + ",".join(MOTIONS) + "}|FILE.tum", _motion, "handheld")] = "handheld"
     """How the camera moves: a hand, a flight over boxes, or the poses of a TUM file."""
     seconds: Annotated[float | None, *option("S", _seconds, "10, or the whole of a flight or file")] = None

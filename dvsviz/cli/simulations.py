@@ -22,7 +22,7 @@ def simulate(command: Simulate) -> int:
     if command.layout != "hdf5" and command.out.is_file():
         raise DvsvizError("is a file", path=command.out, hint=f"name a folder for the layout {command.layout}")
     options: dict[str, Any] = {
-        "scene": command.scene if command.scene in SCENES else _picture(Path(command.scene)),
+        "scene": _scene(command.scene),
         "motion": command.motion if command.motion in MOTIONS else Path(command.motion),
         "seconds": command.seconds,
         "seed": command.seed,
@@ -32,6 +32,8 @@ def simulate(command: Simulate) -> int:
     try:
         options["camera"] = _camera(command)
         with share_bar(f"simulating {command.out.name}") as show:
+            if command.scene == "room" and command.layout == "rgbd":
+                raise ValueError("scene: a room around the camera has no depth to write; --layout hdf5 or uzh")
             if command.layout == "rgbd":
                 from dvsviz.simulate.rgbd import simulate_rgbd
 
@@ -52,7 +54,7 @@ def _events(command: Simulate, options: dict[str, Any], show: Callable[[float], 
     """Write a recording of events in the layout that is asked for."""
     from dvsviz.simulate.simulate import simulate as run
 
-    options |= {"frames_hz": command.frames_hz or 0.0}
+    options |= {"frames_hz": command.frames_hz or 0.0, "panorama": command.scene == "room"}
     if command.layout == "hdf5":
         run(command.out, progress=show, **options)
         return
@@ -65,6 +67,15 @@ def _events(command: Simulate, options: dict[str, Any], show: Callable[[float], 
         write_uzh(read_recording(passing), command.out)
     finally:
         passing.unlink(missing_ok=True)
+
+
+def _scene(name: str) -> str | Painter:
+    """Return a scene's name, or its painter where it has none of its own."""
+    if name == "room":
+        from dvsviz.simulate.panorama import boxes
+
+        return boxes
+    return name if name in SCENES else _picture(Path(name))
 
 
 def _picture(path: Path) -> Painter:

@@ -36,9 +36,7 @@ def mapper_of(
     """Return the mapper of a configuration's mode."""
     solve_normal = config.motion in ("planar", "auto")
     if config.mode == "map":
-        return Mapper(
-            camera, free, image_size, solve_normal=solve_normal, is_panorama=config.motion == "rotation"
-        )
+        return Mapper(camera, free, image_size, solve_normal=solve_normal, is_panorama=config.motion == "rotation")
     return KeyframeMapper(
         camera, free, image_size, solve_normal=solve_normal, name=config.objective, seed=config.seed
     )

@@ -1,0 +1,263 @@
+"""The finder: where a window was seen from, by prediction and alignment, by contrast, by a gyroscope or by search.
+
+It reads the map and moves the velocities in `Motion`; whether a pose is believed is the judge's business.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dvsviz.config import TrackerConfig
+from dvsviz.contrast.solve import ContrastSolution
+from dvsviz.events.windows import EventWindow
+from dvsviz.geometry import se3
+from dvsviz.geometry.camera import Camera
+from dvsviz.geometry.plane import Plane
+from dvsviz.session.records import Status
+from dvsviz.tracking import constants as c
+from dvsviz.tracking import diagnose
+from dvsviz.tracking.align import Alignment, align
+from dvsviz.tracking.bootstrap import motion_by_contrast
+from dvsviz.tracking.by_contrast import follow_by_contrast
+from dvsviz.tracking.failures import FailureWatch
+from dvsviz.tracking.gyro import Gyro, prior_by_gyro
+from dvsviz.tracking.mapping import Mapper
+from dvsviz.tracking.measure import WindowImages
+from dvsviz.tracking.prediction import difference
+from dvsviz.tracking.relocalize import relocalize
+from dvsviz.tracking.state import Motion
+from dvsviz.tracking.traces import HELD, Trace
+from dvsviz.tracking.translation import ReliefOdometry
+
+Array = NDArray[np.float64]
+
+
+@dataclass(slots=True, kw_only=True, eq=False)
+class PoseFinder:
+    """Finds the poses of one tracker's windows.
+
+    Attributes:
+        camera: of the tracker's images.
+        config: settings.
+        free: mask (6,) of rotation and position that the motion model solves for.
+        mapper: its map is what windows are aligned with.
+        motion: last pose, velocities and status, moved on.
+        failures: is told when the way back was found.
+        gyro: the gyroscope, where it is used.
+    """
+
+    camera: Camera
+    config: TrackerConfig
+    free: NDArray[np.bool_]
+    mapper: Mapper
+    motion: Motion
+    failures: FailureWatch
+    gyro: Gyro | None
+
+    def trace(
+        self, window: EventWindow, sampled: tuple[NDArray[np.float32], Array], mid_us: int, T: Array
+    ) -> Trace:
+        """Return the window at a pose (4, 4), with the velocities as they are known."""
+        return Trace(
+            window=window.index,
+            first_event=window.first_event,
+            start_us=window.start_us,
+            mid_us=mid_us,
+            duration_s=window.duration_s,
+            T_world_camera=T,
+            omega=self.motion.omega,
+            velocity=self.motion.velocity,
+            bearings=sampled[0],
+            t_s=sampled[1],
+            events=len(window),
+        )
+
+    def contrast(self, window: EventWindow) -> ContrastSolution:
+        """Return the motion of a window by its own contrast."""
+        plane = self.mapper.plane.seen_from(self.motion.T_world_camera)
+        # In mode contrast the first window finds the plane too: 8 parameters.
+        first = self.config.mode == "contrast" and self.mapper.map is None and bool(self.free[3:].all())
+        name, seed = self.config.objective, self.config.seed
+        return motion_by_contrast(self.camera, window, plane, self.free, seed, name=name, with_normal=first)
+
+    def start(self, window: EventWindow, sampled: tuple[NDArray[np.float32], Array], mid_us: int) -> Trace:
+        """Return the first window's trace: its pose is the identity, its motion found by contrast alone."""
+        solution = self.contrast(window)
+        mid_s = (mid_us - window.start_us) * 1e-6
+        T = se3.propagate(np.eye(4), solution.omega, solution.velocity, mid_s)
+        R_mid_start = se3.exp_so3(solution.omega * mid_s).T
+        self.motion.omega, self.motion.velocity = solution.omega, R_mid_start @ solution.velocity
+        self.mapper.begin(Plane(normal=solution.normal))
+        return self.trace(window, sampled, mid_us, T)
+
+    def follow(
+        self, window: EventWindow, sampled: tuple[NDArray[np.float32], Array], mid_us: int
+    ) -> tuple[Trace, Alignment]:
+        """Return the window aligned with the map from where the filter predicts it."""
+        if self.config.mode == "contrast":
+            found = follow_by_contrast(
+                self.camera, self.config, self.free, self.motion, self.mapper.live_map, window, sampled, mid_us
+            )
+            return self.trace(window, sampled, mid_us, found.T_world_camera), found
+        dt = max(1e-6, (mid_us - self.motion.t_us) * 1e-6)
+        # Through a gap without events the camera stood still: the velocity is not carried across it.
+        dt_predict = min(dt, 2e-3 * self.config.max_window_ms)
+        predicted = se3.propagate(self.motion.T_world_camera, self.motion.omega, self.motion.velocity, dt_predict)
+        velocity = se3.exp_so3(self.motion.omega * dt_predict).T @ self.motion.velocity
+        omega = self.motion.omega
+        prior = None
+        if self.gyro is not None and self.gyro.covers(self.motion.t_us, mid_us):
+            turn = self.gyro.turn(self.motion.t_us, mid_us)
+            predicted[:3, :3] = self.motion.T_world_camera[:3, :3] @ turn
+            omega, velocity = self.gyro.rate(mid_us), turn.T @ self.motion.velocity
+            prior = prior_by_gyro(self.gyro, dt, (mid_us - self.gyro.seen_us) * 1e-6)
+        closed = self.mapper.look(predicted)
+        if closed is not None:
+            self.motion.T_world_camera, predicted = closed @ self.motion.T_world_camera, closed @ predicted
+        mid_s = (mid_us - window.start_us) * 1e-6
+        # Where tracking is well the coarsest level has nothing to find; it is asked where the fit is poor.
+        first = 1 if self.motion.status is Status.TRACKING else 0
+        if dt > dt_predict:
+            self.motion.filter.forget()
+        known = self.motion.filter.predict(dt_predict) * c.FILTER_CORRELATED
+        by_gyro = prior is not None
+        prior = known if prior is None else prior
+        alignment = self._align(sampled, mid_s, predicted, omega, velocity, prior, first_level=first)
+        if first > 0 and self._agreed(alignment) < c.WEAK_RATIO * self.motion.good_score:
+            wider = self._align(sampled, mid_s, predicted, omega, velocity, prior if by_gyro else None)
+            alignment = max(alignment, wider, key=self._agreed)
+        T = alignment.T_world_camera
+        change = self.motion.filter.correct(difference(predicted, T), alignment.information, dt_predict)
+        if by_gyro:
+            # A gyroscope's rate is better than what two poses say.
+            change[:3] = 0.0
+        self.motion.omega, self.motion.velocity = omega + change[:3], velocity + change[3:]
+        return self.trace(window, sampled, mid_us, T), alignment
+
+    def bridge(
+        self, trace: Trace, alignment: Alignment | None, images: WindowImages
+    ) -> tuple[Trace, diagnose.Judgement] | None:
+        """Return a window that says nothing, turned on by the gyroscope where the camera was last seen; else None."""
+        motion, gyro = self.motion, self.gyro
+        if gyro is None or alignment is None or not gyro.covers(motion.t_us, trace.mid_us):
+            return None
+        agreed = diagnose.agreement(self.mapper.live_map, alignment.value, trace.T_world_camera, self.camera)
+        says_nothing = trace.events < c.FAILURE_EVENTS or images.edge_pixels < c.TEXTURE_EDGE_PIXELS
+        # Where a camera that only turns comes out of the dark before something new, only the gyroscope knows where.
+        is_new = not self.free[3:].any() and motion.status is Status.WEAK and agreed.inside < c.LOST_INSIDE
+        if agreed.score > c.LOST_RATIO * motion.good_score or not (says_nothing or is_new):
+            return None
+        T = motion.T_world_camera.copy()
+        T[:3, :3] = T[:3, :3] @ gyro.turn(motion.t_us, trace.mid_us)
+        motion.status, motion.bad_windows = Status.WEAK, 0
+        gyro.forget_anchor()
+        trace = replace(trace, T_world_camera=T, omega=gyro.rate(trace.mid_us), velocity=np.zeros(3), keyframe=HELD)
+        unknown = diagnose.Judgement.unknown()
+        return trace, replace(unknown, score=agreed.score, is_trusted=is_new and not says_nothing)
+
+    def learn_bias(self, trace: Trace) -> None:
+        """Let the gyroscope's bias follow well-tracked rotations."""
+        if self.gyro is None:
+            return
+        if self.motion.status in (Status.TRACKING, Status.WEAK, Status.INITIALIZING):
+            self.gyro.seen_us = trace.mid_us
+        if self.motion.status is Status.TRACKING and self.mapper.refinements > 0:
+            self.gyro.learn(trace.mid_us, trace.T_world_camera[:3, :3])
+        else:
+            self.gyro.forget_anchor()
+
+    def _agreed(self, alignment: Alignment) -> float:
+        """Return the chance-normalised score of an alignment."""
+        return diagnose.agreement(
+            self.mapper.live_map, alignment.value, alignment.T_world_camera, self.camera
+        ).score
+
+    def _align(
+        self,
+        sampled: tuple[NDArray[np.float32], Array],
+        mid_s: float,
+        T: Array,
+        omega: Array,
+        velocity: Array,
+        prior: Array | None,
+        *,
+        first_level: int = 0,
+    ) -> Alignment:
+        bearings, t_s = sampled
+        if len(bearings) > c.ALIGN_EVENTS:
+            step = len(bearings) / c.ALIGN_EVENTS
+            pick = (np.arange(c.ALIGN_EVENTS) * step).astype(np.int64)
+            bearings, t_s = bearings[pick], t_s[pick]
+        return align(
+            self.mapper.live_map,
+            bearings,
+            t_s - mid_s,
+            T,
+            omega,
+            velocity,
+            focal_px=self.camera.focal_px,
+            free=self.free,
+            prior=prior,
+            anchored=c.ANCHOR**-2 if self.motion.status is Status.INITIALIZING else 0.0,
+            first_level=first_level,
+        )
+
+    def drift(
+        self,
+        relief: ReliefOdometry,
+        window: EventWindow,
+        sampled: tuple[NDArray[np.float32], Array],
+        mid_us: int,
+    ) -> Trace:
+        """Return the window moved on by the relief's velocity: odometry, no reference to come back to."""
+        self.motion.omega, self.motion.velocity = np.zeros(3), relief.velocity
+        return self.trace(window, sampled, mid_us, relief.T_world_camera)
+
+    def search(
+        self, window: EventWindow, sampled: tuple[NDArray[np.float32], Array], mid_us: int
+    ) -> tuple[Trace, Alignment | None, str]:
+        """Return the window placed by relocalization, or where it was last seen."""
+        self.motion.status = Status.LOST
+        self.motion.filter.forget()
+        if mid_us - self.motion.t_us < c.RELOCALIZE_EVERY_US * self.motion.searches:
+            return self.trace(window, sampled, mid_us, self.motion.T_world_camera), None, ""
+        self.motion.searches += 1
+        solution = self.contrast(window)
+        mid_s = (mid_us - window.start_us) * 1e-6
+        self.motion.omega = solution.omega
+        self.motion.velocity = se3.exp_so3(solution.omega * mid_s).T @ solution.velocity
+        trace = self.trace(window, sampled, mid_us, self.motion.T_world_camera)
+        planar_map, keyframes = self.mapper.to_search(self.motion.searches - 1)
+        found = relocalize(
+            planar_map,
+            self.camera,
+            trace.deskewed(self.mapper.plane).astype(np.float32),
+            keyframes,
+            free=self.free,
+        )
+        if found is None:
+            return trace, None, ""
+        self.motion.status = Status.RELOCALIZING
+        believed = found.score > c.RELOCALIZE_SCORE * self.motion.good_score
+        believed &= found.score - found.runner_up > c.RELOCALIZE_LEAD
+        if not believed:
+            # A rival pose that nearly fits keeps the search open; nothing that fits is plainly lost.
+            near = found.score > 0.5 * c.RELOCALIZE_SCORE * self.motion.good_score
+            self.motion.status = Status.RELOCALIZING if near else Status.LOST
+            return trace, None, ""
+        self.mapper.look(found.T_world_camera, may_close=False)
+        alignment = self._align(sampled, mid_s, found.T_world_camera, self.motion.omega, self.motion.velocity, None)
+        since_s = (mid_us - self.motion.t_us) * 1e-6
+        self.failures.found_again(self.motion.T_world_camera, alignment.T_world_camera, since_s)
+        self.motion.status = Status.TRACKING
+        self.motion.bad_windows = 0
+        self.motion.t_us = mid_us
+        self.motion.searches = 0
+        return (
+            replace(trace, T_world_camera=alignment.T_world_camera),
+            alignment,
+            f"relocalized: score {found.score:.2f}, next best {found.runner_up:.2f}",
+        )
