@@ -124,7 +124,15 @@ class JointRefiner(Refiner):
     name: ObjectiveName
     seed: int
 
-    def revise(self, traces: Sequence[Trace], plane: Plane, *, first: bool, passes: int = 1) -> Revised:
+    def revise(
+        self,
+        traces: Sequence[Trace],
+        plane: Plane,
+        *,
+        first: bool,
+        passes: int = 1,
+        faces: Sequence[Plane] = (),
+    ) -> Revised:
         """Return what takes the place of the traces and the map: 12 k - 4 parameters found together.
 
         Args:
@@ -132,6 +140,7 @@ class JointRefiner(Refiner):
             plane: as known.
             first: not used: the map is made anew in any case.
             passes: more than 1 at the recording's end, where there is no candidate.
+            faces: not used: this mode keeps to one plane.
         """
         anchors = [t for t in traces if _is_anchor(t)]
         if len(anchors) > c.JOINT_MAX_VIEWS:
