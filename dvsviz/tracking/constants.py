@@ -158,12 +158,14 @@ KEYFRAME_COMPARE: Final = 40
 REVISION_KEYFRAMES: Final = 4
 
 # --- motion and judgement -----------------------------------------------------------------------------------
-# Filter of the motion. Standard deviations at the start and after a loss: pose (rad, plane distances) and velocity.
+# Filter of the motion. Standard deviations at the start and after a loss: pose (rad, plane distances) and velocity; a
+# camera that was lost, or put somewhere by hand in the middle of a blow, may be fast.
 # Acceleration's spectral density (rad²/s³, distances²/s³) at the start and its limits: on low_texture with a true map
 # the error is 9.5 degrees with a least density of 0.001, 0.7 with 0.03, 0.35 with 0.2, 0.84 with 1; 0.87 by a fixed
 # gain on the velocity.
 FILTER_POSE_START: Final = 0.01
 FILTER_SPEED_START: Final = 0.5
+FILTER_SPEED_LOST: Final = 5.0
 FILTER_DENSITY_START: Final = 1.0
 FILTER_DENSITY: Final = (0.2, 1e4)
 # Standard deviation of what a prediction always leaves open, rad and plane distances.

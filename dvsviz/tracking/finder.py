@@ -47,6 +47,7 @@ class PoseFinder:
         motion: last pose, velocities and status, moved on.
         failures: is told when the way back was found.
         gyro: the gyroscope, where it is used.
+        is_placed: True where the pose was set from outside: the next window's velocities come from its own contrast.
     """
 
     camera: Camera
@@ -56,6 +57,7 @@ class PoseFinder:
     motion: Motion
     failures: FailureWatch
     gyro: Gyro | None
+    is_placed: bool = False
 
     def trace(
         self, window: EventWindow, sampled: tuple[NDArray[np.float32], Array], mid_us: int, T: Array
@@ -108,6 +110,12 @@ class PoseFinder:
         predicted = se3.propagate(self.motion.T_world_camera, self.motion.omega, self.motion.velocity, dt_predict)
         velocity = se3.exp_so3(self.motion.omega * dt_predict).T @ self.motion.velocity
         omega = self.motion.omega
+        if self.is_placed:
+            self.is_placed = False
+            solution = self.contrast(window)
+            predicted = self.motion.T_world_camera.copy()
+            omega = solution.omega
+            velocity = se3.exp_so3(omega * (mid_us - window.start_us) * 1e-6).T @ solution.velocity
         prior = None
         if self.gyro is not None and self.gyro.covers(self.motion.t_us, mid_us):
             turn = self.gyro.turn(self.motion.t_us, mid_us)
@@ -222,6 +230,10 @@ class PoseFinder:
         """Return the window placed by relocalization, or where it was last seen."""
         self.motion.status = Status.LOST
         self.motion.filter.forget()
+        # Where nothing was seen the pose was only carried on: what is believed is where it was last trusted.
+        trusted = next((t for t in reversed(self.mapper.traces) if t.is_trusted), None)
+        if trusted is not None:
+            self.motion.T_world_camera = trusted.T_world_camera
         if mid_us - self.motion.t_us < c.RELOCALIZE_EVERY_US * self.motion.searches:
             return self.trace(window, sampled, mid_us, self.motion.T_world_camera), None, ""
         self.motion.searches += 1

@@ -21,8 +21,8 @@ Array = NDArray[np.float64]
 _HELD = 1e-16
 
 
-def _unknown(free: NDArray[np.bool_]) -> Array:
-    start = np.array([c.FILTER_POSE_START**2] * 6 + [c.FILTER_SPEED_START**2] * 6)
+def _unknown(free: NDArray[np.bool_], speed: float) -> Array:
+    start = np.array([c.FILTER_POSE_START**2] * 6 + [speed**2] * 6)
     return np.diag(np.where(np.tile(free, 2), start, _HELD))
 
 
@@ -46,11 +46,11 @@ class MotionFilter:
 
     def __post_init__(self) -> None:
         if self.covariance.size == 0:
-            self.forget()
+            self.covariance = _unknown(self.free, c.FILTER_SPEED_START)
 
     def forget(self) -> None:
         """Begin anew, after a loss: the velocity may be anything."""
-        self.covariance = _unknown(self.free)
+        self.covariance = _unknown(self.free, c.FILTER_SPEED_LOST)
 
     def predict(self, dt: float) -> Array:
         """Move the uncertainty on by `dt` seconds; return the information (6, 6) of the predicted pose."""

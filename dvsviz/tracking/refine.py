@@ -159,10 +159,12 @@ def _shown(
 def disagreement(
     bearings: list[Array], Ts: Array, plane: Plane, scale: float, faces: Sequence[Plane] = ()
 ) -> float:
-    """Return how far (px, RMS) the views disagree on where their shared edges lie.
+    """Return how far (sensor px, RMS) the views disagree on where their shared edges lie.
 
-    Each view's mean distance to a landmark is compared with the landmark's mean over all views; landmarks and views are
-    those of a fixed gate, so that what is judged does not depend on how it was found.
+    A view that draws near to the plane becomes smaller on the map, and disagrees less there for that reason alone:
+    map px are taken back to the sensor's by the views' mean distance. Each view's mean distance to a landmark is
+    compared with the landmark's mean over all views; landmarks and views are those of a fixed gate, so that what is
+    judged does not depend on how it was found.
     """
     squares, weights = 0.0, 0.0
     gate = c.REFINE_JUDGE_GATE_PX
@@ -190,7 +192,10 @@ def disagreement(
         centre = (weight * value).sum(axis=0) / weight.sum(axis=0)
         squares += float((weight * (value - centre) ** 2).sum())
         weights += float(weight.sum())
-    return float(np.sqrt(squares / weights)) if weights > 0 else float("inf")
+    if weights <= 0:
+        return float("inf")
+    nearness = plane.distance / float(np.mean(plane.distance + Ts[:, :3, 3] @ plane.normal))
+    return float(np.sqrt(squares / weights)) * nearness
 
 
 def _observations(

@@ -166,6 +166,9 @@ class Tracker:
             if relief is not None or (self.config.motion != "planar" and self._is_undecided):
                 wanted_px = c.RELIEF_DISPLACEMENT_PX
             self._motion.resize(images.displacement_px, wanted_px, self._most_events)
+        else:
+            # What was believed of the motion before the loss made the windows too small to be found by.
+            self._motion.size = max(self._motion.size, float(c.WINDOW_EVENTS_START))
         if note:
             self._mapper.log(window.index, "warning" if self._motion.status is Status.LOST else "info", note)
         return WindowResult(
@@ -223,7 +226,9 @@ class Tracker:
         return self.config.motion != "planar" or self._motion.good_score < c.RELIEF_TOLD_SCORE
 
     def place(self, T_world_camera: Array) -> None:
-        """Start the next window from a given pose, as after a loss: weak, standing still, until the map agrees.
+        """Start the next window from a given pose, as after a loss: weak until the map agrees.
+
+        Its velocities are those that the window shows by itself.
 
         Args:
             T_world_camera: pose (4, 4), world (first camera's frame, in plane distances) from camera.
@@ -232,6 +237,7 @@ class Tracker:
         motion.T_world_camera = np.array(T_world_camera, dtype=np.float64)
         motion.omega, motion.velocity = np.zeros(3), np.zeros(3)
         motion.filter.forget()
+        self._finder.is_placed = True
         motion.bad_windows, motion.searches = 0, 0
         if self._mapper.map is not None:
             motion.status = Status.WEAK

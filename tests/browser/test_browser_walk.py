@@ -15,6 +15,7 @@ from browser_page import Dashboard
 from browser_server import served
 from playwright.sync_api import Browser, expect
 
+from dvsviz.errors import SessionError
 from dvsviz.session.records import STATUSES, Status
 from dvsviz.session.store import open_session
 from dvsviz.simulate.planted import Planted, plant
@@ -71,6 +72,17 @@ def step(dashboard: Dashboard, name: str) -> float:
     return share(dashboard)
 
 
+def is_complete(path: Path) -> bool:
+    """Whether a session was written to its end; before it has a header it cannot be opened."""
+    if not path.exists():
+        return False
+    try:
+        with open_session(path) as session:
+            return session.complete
+    except SessionError:
+        return False
+
+
 def turn_until_it_fits(dashboard: Dashboard) -> None:
     """Turn the camera as one who looks at the picture does: on while more edges fit, back where fewer do."""
     best = share(dashboard)
@@ -87,9 +99,8 @@ def test_failures_are_found_understood_repaired_and_taken_along(
     dashboard, session_of = walk
     page = dashboard.page
     listed = page.locator("#session-list li")
-    dashboard.until(
-        lambda: listed.count() == 3 and listed.locator(".run-line").count() == 0, "all are tracked", TRACKED_S
-    )
+    dashboard.until(lambda: all(is_complete(session_of(name)) for name in CAUSES), "all are tracked", TRACKED_S)
+    dashboard.until(lambda: listed.count() == 3 and listed.locator(".run-line").count() == 0, "the page says so")
 
     for name, words in CAUSES.items():
         dashboard.run(f"open('{name}')")
@@ -140,8 +151,10 @@ def test_failures_are_found_understood_repaired_and_taken_along(
     repaired = session_of("branches/jerk try")
     with open_session(repaired) as session:
         status, poses = session.column("status"), len(session.trajectory())
-    assert np.all(status[window:] == TRACKING)
-    assert not np.all(before[window:] == TRACKING)
+    # Before, nothing was tracked from here on; now the blow is got over and the rest is tracked to its end.
+    assert not np.any(before[window:] == TRACKING)
+    assert np.mean(status[window:] == TRACKING) > 0.85
+    assert np.all(status[-10:] == TRACKING)
 
     # It is taken along as a trajectory and for rerun.
     branch.get_by_role("link", name="open").click()
