@@ -100,9 +100,12 @@ class Dashboard:
             self.page.wait_for_timeout(20)
 
     def until_shown(self, window: int) -> None:
-        """Wait until the images of a window are on the screen, then check that they are its images."""
-        self.until(lambda: self.state["shown"] == window, f"window {window} is shown")
-        assert self.decoded() == window
+        """Wait until the page says that it shows a window, and its images are that window's: on a way there and back
+        the page passes the window, and the next image is there before it can be read."""
+        self.until(
+            lambda: self.state["shown"] == window and self.decoded() == window,
+            f"window {window} and its images are shown",
+        )
 
     def timeline_x(self, share: float) -> tuple[float, float]:
         """The place on the timeline's curves at a share of the visible time."""
