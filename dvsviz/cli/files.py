@@ -110,7 +110,7 @@ def _session_info(path: Path) -> dict[str, Any]:
     with open_session(path) as session:
         header = session.header
         config: dict[str, Any] = json.loads(header.config_json)
-        state = "complete" if session.complete else "live" if session.is_live else "incomplete"
+        state = session.state()
         return {
             "format": FORMAT,
             "version": VERSION,

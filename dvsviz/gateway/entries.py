@@ -12,7 +12,7 @@ from dvsviz.gateway.orders import RunOrder, RunState, Stage
 from dvsviz.gateway.runs import Run
 from dvsviz.pipeline import summarize
 from dvsviz.session.records import STATUSES, Status
-from dvsviz.session.store import Session, SessionHeader, open_session
+from dvsviz.session.store import SessionHeader, open_session
 
 _SPARKS = 64
 # A stretch of the sparkline shows its worst state.
@@ -31,6 +31,7 @@ def read_entry(name: str, path: Path, *, kept: bool) -> dict[str, Any]:
         SessionError: it is no session, or damaged.
     """
     session = open_session(path)
+    state = session.state()
     header, status = session.header, session.column("status")
     figures = summarize(status)
     events, last_us = session.extent
@@ -48,7 +49,7 @@ def read_entry(name: str, path: Path, *, kept: bool) -> dict[str, Any]:
         "windows": session.window_count,
         "tracked_share": figures["tracked_share"],
         "losses": figures["losses"],
-        "state": state_of(session),
+        "state": state,
         "sparkline": sparkline(status),
         "has_ground_truth": session.ground_truth is not None,
         "created": header.created,
@@ -60,11 +61,6 @@ def read_entry(name: str, path: Path, *, kept: bool) -> dict[str, Any]:
         "origin": origin_of(header),
         "kept": kept,
     }
-
-
-def state_of(session: Session) -> str:
-    """Return `complete`, `live` or `incomplete`."""
-    return "complete" if session.complete else "live" if session.is_live else "incomplete"
 
 
 def origin_of(header: SessionHeader) -> dict[str, Any] | None:

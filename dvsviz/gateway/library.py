@@ -19,7 +19,7 @@ from dvsviz.events.recording import Recording
 from dvsviz.formats.hdf5_growing import GrowingEvents, open_growing
 from dvsviz.formats.hdf5_writer import growing_path
 from dvsviz.formats.open import open_recording
-from dvsviz.gateway.entries import origin_of, read_entry, rounded, state_of, waiting_entry
+from dvsviz.gateway.entries import origin_of, read_entry, rounded, waiting_entry
 from dvsviz.gateway.runs import Runs
 from dvsviz.session.records import STATUSES
 from dvsviz.session.store import Session, open_session
@@ -175,9 +175,9 @@ class Library:
         with self._lock:
             return list(self._open.values())
 
-    def state(self, session: Session) -> str:
+    def state(self, shown: ShownSession) -> str:
         """Return `complete`, `live` or `incomplete`."""
-        return state_of(session)
+        return shown.session.state(shown.refresh)
 
     def progress(self, shown: ShownSession) -> dict[str, float | None]:
         """Return how far a growing session is: what its run tells, or what is stored where another program writes."""
@@ -200,13 +200,15 @@ class Library:
         """Return what the page needs to know about an open session, once."""
         session = shown.session
         header = session.header
+        # Before what it counts: a session that has ended is told whole.
+        state = self.state(shown)
         events, last_us = session.extent
         return {
             "name": shown.name,
             "recording": header.recording_name,
             "format": header.recording_format,
             "windows": session.window_count,
-            "state": self.state(session),
+            "state": state,
             "t0_us": header.first_us,
             "duration_s": (last_us - header.first_us) * 1e-6 if header.is_stream else header.part_s[1],
             "events": events,

@@ -72,7 +72,7 @@ class Watch(threading.Thread):
         if not grew and known is not None and known[2] == "complete":
             now = known
         else:
-            state = self._library.state(shown.session)
+            state = self._library.state(shown)
             progress = self._library.progress(shown) if state == "live" else {}
             now = (shown.generation, shown.window_count, state, progress)
         # By tab: one that opened the session between two looks was never told what came meanwhile.

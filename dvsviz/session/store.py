@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal, Self, TypeVar
 
@@ -103,6 +104,17 @@ class Session:
     def is_live(self) -> bool:
         """True where a writer is at work: what is neither complete nor live was interrupted."""
         return not self.complete and has_writer(self.path)
+
+    def state(self, refresh: Callable[[], object] | None = None) -> str:
+        """Return `complete`, `live` or `incomplete`: before what is counted, for then all that an ended run left is.
+
+        Args:
+            refresh: how the session is read again; `self.refresh` unless said.
+        """
+        if not self.complete and not self.is_live:
+            # Its writer may have closed it since it was last read.
+            (refresh or self.refresh)()
+        return "complete" if self.complete else "live" if self.is_live else "incomplete"
 
     @property
     def window_count(self) -> int:

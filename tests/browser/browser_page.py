@@ -96,7 +96,10 @@ class Dashboard:
         end = time.monotonic() + seconds
         while not is_so():
             if time.monotonic() > end:
-                raise AssertionError(f"after {seconds:g} s it was not so that {what}; console: {self.problems}")
+                raise AssertionError(
+                    f"after {seconds:g} s it was not so that {what}; it shows window {self.decoded()}, "
+                    f"its state is {self.state}; console: {self.problems}"
+                )
             self.page.wait_for_timeout(20)
 
     def until_shown(self, window: int) -> None:
