@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from dvsviz.contrast import kernels
 from dvsviz.geometry import se3
 from dvsviz.geometry.camera import Camera
-from dvsviz.geometry.plane import Plane, rotation_to_map
+from dvsviz.geometry.plane import Plane, points_to_map
 
 Array = NDArray[np.float64]
 Measure = Literal["variance", "gradient"]
@@ -183,5 +183,5 @@ def map_nodes(
     R = R0[:, None] @ se3.exp_so3(np.multiply.outer(t, motion[:3]))
     position = p0[:, None] + t[:, None] * (R0 @ motion[3:])[:, None]
     n_c, d_c = n @ R, d + position @ n
-    PM = target @ (rotation_to_map(n) / np.array([[1.0], [1.0], [d]]))
+    PM = target @ points_to_map(plane_world)
     return PM @ (d_c[..., None, None] * R - position[..., :, None] * n_c[..., None, :]), scale

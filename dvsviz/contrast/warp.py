@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from dvsviz.contrast.kernels import node_count, node_times
 from dvsviz.geometry import se3
-from dvsviz.geometry.plane import Plane, rotation_to_map, rotation_to_map_derivative
+from dvsviz.geometry.plane import Plane, points_to_map, rotation_to_map_derivative
 
 Array = NDArray[np.float64]
 
@@ -119,7 +119,7 @@ def map_warp(
     position = p0 + (t[:, None] * velocity) @ R0.T
     n_c = n @ R
     d_c = d + position @ n
-    PM = target @ (rotation_to_map(n) / np.array([[1.0], [1.0], [d]]))
+    PM = target @ points_to_map(plane_world)
     nodes = PM @ (d_c[:, None, None] * R - position[:, :, None] * n_c[:, None, :])
     if not derivatives:
         return Warp(nodes=nodes, scale=scale, d_nodes=np.zeros((0, *nodes.shape)))
@@ -170,7 +170,7 @@ def keyframe_warp(
     R = R0 @ E
     position = p0 + (t[:, None] * velocity) @ R0.T
     n_c, d_c = n @ R, d + position @ n
-    PM = target @ (rotation_to_map(n) / flat)
+    PM = target @ points_to_map(plane_world)
     onto = d_c[:, None, None] * R - position[:, :, None] * n_c[:, None, :]
     J = se3.left_jacobian_so3(np.multiply.outer(t, omega))
     d_nodes = np.empty((12 + d_normal.shape[1], *posed.nodes.shape))

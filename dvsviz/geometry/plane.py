@@ -60,6 +60,11 @@ def _rotation_to_map(normal_world: tuple[float, ...]) -> Array:
     return R
 
 
+def points_to_map(plane_world: Plane) -> Array:
+    """Return (3, 3): plane point in the world -> homogeneous map point (u, v, 1), for `homography_map_camera`."""
+    return rotation_to_map(plane_world.normal) / np.array([[1.0], [1.0], [plane_world.distance]])
+
+
 def rotation_to_map_derivative(normal_world: Array, d_normal: Array) -> Array:
     """Return the derivative (3, 3) of `rotation_to_map` as the normal moves along `d_normal` (3,)."""
     z = np.array([0.0, 0.0, -1.0])

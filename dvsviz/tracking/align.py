@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from dvsviz.contrast.kernels import pose_equations
 from dvsviz.geometry import se3
-from dvsviz.geometry.plane import rotation_to_map
+from dvsviz.geometry.plane import points_to_map
 from dvsviz.tracking import constants as c
 from dvsviz.tracking.kernels import exp_rotation
 from dvsviz.tracking.planar_map import PlanarMap
@@ -92,7 +92,7 @@ def align(
     """
     levels = planar_map.pyramid()
     plane = planar_map.plane
-    target = planar_map.projection @ (rotation_to_map(plane.normal) / np.array([[1.0], [1.0], [plane.distance]]))
+    target = planar_map.projection @ points_to_map(plane)
     if prior is None:
         prior = default_prior()
     R, p = T_world_camera[:3, :3].copy(), T_world_camera[:3, 3].copy()

@@ -16,6 +16,31 @@ from dvsviz.tracking import constants as c
 AHEAD = np.array([0.0, 0.0, -1.0])
 
 
+def contrast_problem(
+    camera: Camera, window: EventWindow, pick: slice | NDArray[np.int64], seed: int
+) -> ContrastProblem:
+    """Return the contrast of some of a window's events, signed.
+
+    On integer pixels zero motion is an artificial maximum of the bilinear votes: half a pixel of dither removes it.
+
+    Args:
+        camera: of the window.
+        window: its events.
+        pick: which of them.
+        seed: of the dither.
+    """
+    bearings = window.bearings[pick]
+    rng = np.random.default_rng((seed, window.index))
+    dither = rng.uniform(-0.5, 0.5, bearings.shape) / (camera.fx, camera.fy)
+    return ContrastProblem(
+        bearings=(bearings + dither).astype(np.float32),
+        t_s=np.ascontiguousarray(window.t_s[pick]),
+        weights=np.where(window.events.is_positive[pick], np.float32(1), np.float32(-1)),
+        camera=camera,
+        duration_s=window.duration_s,
+    )
+
+
 def motion_by_contrast(
     camera: Camera,
     window: EventWindow,
@@ -38,19 +63,8 @@ def motion_by_contrast(
         with_normal: also find the plane's normal (8 parameters).
     """
     step = max(1, len(window) // c.CONTRAST_EVENTS)
-    signs = np.where(window.events.is_positive, np.float32(1), np.float32(-1))[::step]
-    # On integer pixels zero motion is an artificial maximum of the bilinear votes: dither removes it.
-    rng = np.random.default_rng((seed, window.index))
-    dither = rng.uniform(-0.5, 0.5, (len(signs), 2)) / (camera.fx, camera.fy)
-    problem = ContrastProblem(
-        bearings=(window.bearings[::step] + dither).astype(np.float32),
-        t_s=np.ascontiguousarray(window.t_s[::step]),
-        weights=np.ascontiguousarray(signs),
-        camera=camera,
-        duration_s=window.duration_s,
-    )
     return maximize_contrast(
-        problem,
+        contrast_problem(camera, window, slice(None, None, step), seed),
         plane if plane.distance > c.PLANE_TOO_NEAR else Plane(normal=AHEAD),
         free=free,
         with_normal=with_normal,

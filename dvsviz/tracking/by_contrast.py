@@ -22,9 +22,10 @@ from dvsviz.contrast.warp import window_warp
 from dvsviz.events.windows import EventWindow
 from dvsviz.geometry import se3
 from dvsviz.geometry.camera import Camera
-from dvsviz.geometry.plane import Plane, homography_map_camera, rotation_to_map
+from dvsviz.geometry.plane import Plane, homography_map_camera, points_to_map
 from dvsviz.tracking import constants as c
 from dvsviz.tracking.align import Alignment
+from dvsviz.tracking.bootstrap import contrast_problem
 from dvsviz.tracking.planar_map import PlanarMap
 from dvsviz.tracking.state import Motion
 
@@ -33,23 +34,6 @@ Array = NDArray[np.float64]
 _ONE = np.ones(1, dtype=np.float32)
 # Nodes that a window's rotation is interpolated between, as in `tracking.align`.
 _NODES = 5
-
-
-def window_problem(camera: Camera, window: EventWindow, seed: int) -> ContrastProblem:
-    """Return the contrast of a sample of a window's events, signed.
-
-    On integer pixels zero motion is an artificial maximum of the bilinear votes: half a pixel of dither removes it.
-    """
-    pick = sample_indices(window, c.CONTRAST_EVENTS, seed)
-    rng = np.random.default_rng((seed, window.index))
-    dither = rng.uniform(-0.5, 0.5, (len(pick), 2)) / (camera.fx, camera.fy)
-    return ContrastProblem(
-        bearings=(window.bearings[pick] + dither).astype(np.float32),
-        t_s=np.ascontiguousarray(window.t_s[pick]),
-        weights=np.where(window.events.is_positive[pick], np.float32(1), np.float32(-1)),
-        camera=camera,
-        duration_s=window.duration_s,
-    )
 
 
 def follow_by_contrast(
@@ -81,7 +65,9 @@ def follow_by_contrast(
     seen = planar_map.plane.seen_from(T_start)
     evaluations = 0
     if seen.distance > c.PLANE_TOO_NEAR:
-        alone = window_problem(camera, window, config.seed)
+        alone = contrast_problem(
+            camera, window, sample_indices(window, c.CONTRAST_EVENTS, config.seed), config.seed
+        )
         prior = np.concatenate([omega, velocity])
         for stage in range(2):
             problem = alone if stage == 0 else with_map(alone, planar_map, T_start, seen, omega, velocity)
@@ -178,7 +164,7 @@ def placed(
         iterations: evaluations that found the pose.
     """
     plane = planar_map.plane
-    target = planar_map.projection @ (rotation_to_map(plane.normal) / np.array([[1.0], [1.0], [plane.distance]]))
+    target = planar_map.projection @ points_to_map(plane)
     start, duration = float(t_s[0]), max(float(t_s[-1] - t_s[0]), 1e-6)
     at = start + np.linspace(0.0, duration, _NODES)
     information, gradient = np.zeros((6, 6)), np.zeros(6)

@@ -16,7 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvsviz.geometry import se3
-from dvsviz.geometry.plane import Plane, rotation_to_map, tangent_basis, turn_normal, turn_normal_derivative
+from dvsviz.geometry.plane import (
+    Plane,
+    homography_map_camera,
+    rotation_to_map,
+    tangent_basis,
+    turn_normal,
+    turn_normal_derivative,
+)
 from dvsviz.tracking import constants as c
 from dvsviz.tracking.edges import associate, bounds, find_ridges
 from dvsviz.tracking.normal_equations import landmark_jacobians, reduce_normal_equations, solve_positive
@@ -117,17 +124,11 @@ def refine(
     )
 
 
-def _to_cells(bearings: Array, T: Array, plane: Plane, R_map_world: Array, scale: float) -> Array:
+def _to_cells(bearings: Array, T: Array, plane: Plane, scale: float) -> Array:
     """Return plane coordinates (N, 2) in cells from the map frame's origin."""
-    H = _homography(T, plane, R_map_world)
+    H = homography_map_camera(T, plane)
     q = bearings @ H[:, :2].T + H[:, 2]
     return scale * q[:, :2] / q[:, 2:]
-
-
-def _homography(T: Array, plane: Plane, R_map_world: Array) -> Array:
-    R, t = T[:3, :3], T[:3, 3]
-    H = R_map_world @ ((plane.distance + t @ plane.normal) * R - np.outer(t, plane.normal @ R))
-    return H / np.array([[1.0], [1.0], [plane.distance]])
 
 
 def _shown(
@@ -137,9 +138,8 @@ def _shown(
 
     All of all views, but on a face of a panorama, which is a part of what is seen.
     """
-    R_map_world = rotation_to_map(plane.normal)
     if not is_face:
-        cells = [_to_cells(b, T, plane, R_map_world, scale) for b, T in zip(bearings, Ts, strict=True)]
+        cells = [_to_cells(b, T, plane, scale) for b, T in zip(bearings, Ts, strict=True)]
         return list(range(len(bearings))), bearings, cells
     views: list[int] = []
     shown: list[Array] = []
@@ -147,7 +147,7 @@ def _shown(
     for k, (b, T) in enumerate(zip(bearings, Ts, strict=True)):
         n_camera = plane.normal @ T[:3, :3]
         ahead = b[b @ n_camera[:2] + n_camera[2] < -1e-3]
-        cells = _to_cells(ahead, T, plane, R_map_world, scale)
+        cells = _to_cells(ahead, T, plane, scale)
         near = np.abs(cells).max(axis=1, initial=0.0) < c.FACE_REFINED * scale
         if near.any():
             views.append(k)

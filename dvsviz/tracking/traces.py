@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from dvsviz.contrast.iwe import warp_points
 from dvsviz.contrast.warp import Warp
 from dvsviz.geometry import se3
-from dvsviz.geometry.plane import Plane, homography_map_camera, rotation_to_map
+from dvsviz.geometry.plane import Plane, homography_map_camera, points_to_map
 from dvsviz.tracking import constants as c
 from dvsviz.tracking.kernels import map_nodes
 from dvsviz.tracking.planar_map import PlanarMap
@@ -80,7 +80,7 @@ class Trace:
             self.velocity,
             plane.normal,
             plane.distance,
-            target @ (rotation_to_map(plane.normal) / np.array([[1.0], [1.0], [plane.distance]])),
+            target @ points_to_map(plane),
             -self.mid_s,
             max(self.duration_s, 1e-6),
             nodes,
