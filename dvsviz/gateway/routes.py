@@ -210,14 +210,14 @@ class Routes:
     async def start(self, request: Request) -> Response:
         """Queue a run of a recording."""
         name = await asyncio.to_thread(self._manager.start, await _body(request))
-        self._watch.look()
+        await asyncio.to_thread(self._watch.refresh_list)
         return JSONResponse({"name": name})
 
     async def branch(self, request: Request) -> Response:
         """Queue a branch of a session."""
         shown = await self._shown(request)
         name = await asyncio.to_thread(self._manager.try_again, shown, await _body(request))
-        self._watch.look()
+        await asyncio.to_thread(self._watch.refresh_list)
         return JSONResponse({"name": name})
 
     async def preview(self, request: Request) -> Response:
@@ -232,7 +232,7 @@ class Routes:
         if new != name:
             for tab in self._tabs.all():
                 tab.tell({"type": "renamed", "session": name, "name": new}, f"renamed {name}")
-        self._watch.look()
+        await asyncio.to_thread(self._watch.refresh_list)
         return JSONResponse({"name": new})
 
     async def tab(self, socket: WebSocket) -> None:

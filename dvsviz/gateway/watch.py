@@ -31,6 +31,7 @@ class Watch(threading.Thread):
         self.list: list[dict[str, Any]] = library.entries()
         self._library, self._tabs = library, tabs
         self._stop_now, self._look_now = threading.Event(), threading.Event()
+        self._listing = threading.Lock()
         self._told: dict[str, _Told] = {}
         self._scene_at: dict[str, tuple[float, int]] = {}
 
@@ -47,13 +48,20 @@ class Watch(threading.Thread):
             if self._look_now.is_set() or time.monotonic() - listed_s > _LIST_EVERY_S:
                 self._look_now.clear()
                 listed_s = time.monotonic()
-                self._look_for_sessions()
+                self.refresh_list()
                 self._tabs.tidy()
 
     def refresh_list(self) -> None:
-        """Look for sessions now, in this thread; before `start`."""
-        self._library.scan()
-        self.list = self._library.entries()
+        """Look for sessions now, in this thread, and tell the tabs what is new."""
+        # One at a time: what was read before a change must not replace what was read after it.
+        with self._listing:
+            self._library.scan()
+            entries = self._library.entries()
+            if entries == self.list:
+                return
+            self.list = entries
+            for tab in self._tabs.all():
+                tab.tell({"type": "sessions", "sessions": entries}, "sessions")
 
     def look(self) -> None:
         """Look for new sessions at once."""
@@ -119,11 +127,3 @@ class Watch(threading.Thread):
             elif tab.shows_beside(shown):
                 tab.scene.trial.grow(shown)
         self._scene_at[shown.name] = (time.monotonic(), shown.window_count)
-
-    def _look_for_sessions(self) -> None:
-        self._library.scan()
-        entries = self._library.entries()
-        if entries != self.list:
-            self.list = entries
-            for tab in self._tabs.all():
-                tab.tell({"type": "sessions", "sessions": entries}, "sessions")
