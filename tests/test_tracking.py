@@ -254,7 +254,8 @@ def test_landmark_jacobians_against_central_differences() -> None:
 
     J = np.empty((7, 8))
     landmark_jacobians(
-        bearings, T[:3, :3].copy(), T[:3, 3].copy(), TILTED, plane.distance, R_map_world, scale, normals,
+        bearings, np.ones(7, dtype=np.int64), np.stack([np.eye(3), T[:3, :3]]), np.stack([np.zeros(3), T[:3, 3]]),
+        TILTED, plane.distance, R_map_world, scale, normals,
         turn_normal_derivative(TILTED, np.zeros(2)), J,
     )  # fmt: skip
     numeric = np.stack([(along(h) - along(-h)) / 2e-6 for h in 1e-6 * np.eye(8)], axis=-1)

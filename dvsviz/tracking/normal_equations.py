@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
 
 
 @numba.njit(cache=True, nogil=True)
-def landmark_jacobians(bearings, R, t, n, d, R_map_world, scale, normals, d_normal, out):
-    """Write d(normal . cell) / d(rotation, position, plane normal) (M, 8) of bearings (M, 2) seen from one pose.
+def landmark_jacobians(bearings, view, Rs, ts, n, d, R_map_world, scale, normals, d_normal, out):
+    """Write d(normal . cell) / d(rotation, position, plane normal) (M, 8) of bearings (M, 2), each seen from a view.
 
     The cell of bearing b is `scale q / q_2` with q = R_map_world (d_c R b - t (n . R b)) and its last entry by d. The
     map frame is held while the plane's normal moves: both are rendered anew in the next round.
 
     Args:
         bearings: (M, 2).
-        R: rotation (3, 3), world from camera.
-        t: position (3,).
+        view: which view each was seen from (M,).
+        Rs: rotations (K, 3, 3) of the views, world from camera.
+        ts: positions (K, 3).
         n: the plane's normal (3,), world.
         d: its distance.
         R_map_world: rotation (3, 3).
@@ -25,12 +29,15 @@ def landmark_jacobians(bearings, R, t, n, d, R_map_world, scale, normals, d_norm
         d_normal: derivative (3, 2) of the plane's normal by its two parameters.
         out: (M, 8).
     """
-    d_c = d + t[0] * n[0] + t[1] * n[1] + t[2] * n[2]
-    n_c, by_0, by_1 = n @ R, d_normal[:, 0].copy(), d_normal[:, 1].copy()
-    t_0 = t[0] * by_0[0] + t[1] * by_0[1] + t[2] * by_0[2]
-    t_1 = t[0] * by_1[0] + t[1] * by_1[1] + t[2] * by_1[2]
-    m, y, x = np.empty(3), np.empty(3), np.empty(3)
+    by_0, by_1 = d_normal[:, 0].copy(), d_normal[:, 1].copy()
+    m, y, x, n_c = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for i in range(bearings.shape[0]):
+        R, t = Rs[view[i]], ts[view[i]]
+        for k in range(3):
+            n_c[k] = n[0] * R[0, k] + n[1] * R[1, k] + n[2] * R[2, k]
+        d_c = d + t[0] * n[0] + t[1] * n[1] + t[2] * n[2]
+        t_0 = t[0] * by_0[0] + t[1] * by_0[1] + t[2] * by_0[2]
+        t_1 = t[0] * by_1[0] + t[1] * by_1[1] + t[2] * by_1[2]
         x[0], x[1], x[2] = bearings[i, 0], bearings[i, 1], 1.0
         for k in range(3):
             y[k] = R[k, 0] * x[0] + R[k, 1] * x[1] + R[k, 2]
@@ -60,47 +67,66 @@ def landmark_jacobians(bearings, R, t, n, d, R_map_world, scale, normals, d_norm
         out[i, 7] = t_1 * my - mt * (by_1[0] * y[0] + by_1[1] * y[1] + by_1[2] * y[2])
 
 
+def reduce_normal_equations(
+    view: NDArray[np.int64],
+    landmark: NDArray[np.int64],
+    weight: Array,
+    residual: Array,
+    J: Array,
+    landmarks: int,
+    A: Array,
+    g: Array,
+) -> None:
+    """Add the reduced normal equations of landmarks whose offsets are eliminated.
+
+    Args:
+        view: of each observation (M,).
+        landmark: of each observation (M,), increasing.
+        weight: (M,).
+        residual: (M,).
+        J: by the view's pose and the plane's normal (M, 8).
+        landmarks: how many there are.
+        A: (6 K + 2, 6 K + 2) of K views, added to in place.
+        g: (6 K + 2,), added to in place.
+    """
+    eliminated = np.zeros((landmarks, len(g) - 2))
+    _add_observations(view, landmark, weight, residual, J, A, g, eliminated)
+    A[:-2, :-2] -= eliminated.T @ eliminated
+
+
 @numba.njit(cache=True, nogil=True)
-def reduce_normal_equations(view, landmark, weight, residual, J, A, g):
-    """Add the reduced normal equations: observations sorted by landmark, its offset eliminated."""
+def _add_observations(view, landmark, weight, residual, J, A, g, eliminated):
+    """Add all but the product of each landmark's row (6 K,) with itself, which is written to `eliminated`."""
     n = view.shape[0]
     normal_at = A.shape[0] - 2
     i = 0
     while i < n:
         j = i
-        total, mean_r = 0.0, 0.0
+        total, mean_r, mean_n0, mean_n1 = 0.0, 0.0, 0.0, 0.0
         while j < n and landmark[j] == landmark[i]:
             total += weight[j]
             mean_r += weight[j] * residual[j]
+            mean_n0 += weight[j] * J[j, 6]
+            mean_n1 += weight[j] * J[j, 7]
             j += 1
-        if j - i >= 2:
-            mean_r /= total
-            mean_n0, mean_n1 = 0.0, 0.0
-            for a in range(i, j):
-                mean_n0 += weight[a] * J[a, 6] / total
-                mean_n1 += weight[a] * J[a, 7] / total
-            for a in range(i, j):
-                wa, ka = weight[a], 6 * view[a]
-                ra = wa * (residual[a] - mean_r)
-                n0, n1 = J[a, 6] - mean_n0, J[a, 7] - mean_n1
-                for p in range(6):
-                    g[ka + p] += J[a, p] * ra
-                    A[ka + p, normal_at] += wa * J[a, p] * n0
-                    A[ka + p, normal_at + 1] += wa * J[a, p] * n1
-                    for q in range(6):
-                        A[ka + p, ka + q] += wa * J[a, p] * J[a, q]
-                g[normal_at] += n0 * ra
-                g[normal_at + 1] += n1 * ra
-                A[normal_at, normal_at] += wa * n0 * n0
-                A[normal_at, normal_at + 1] += wa * n0 * n1
-                A[normal_at + 1, normal_at + 1] += wa * n1 * n1
-                for b in range(i, j):
-                    kb = 6 * view[b]
-                    f = wa * weight[b] / total
-                    for p in range(6):
-                        s = f * J[a, p]
-                        for q in range(6):
-                            A[ka + p, kb + q] -= s * J[b, q]
+        mean_r, mean_n0, mean_n1 = mean_r / total, mean_n0 / total, mean_n1 / total
+        # Seen once, a landmark says nothing.
+        for a in range(i, j if j - i >= 2 else i):
+            wa, ka = weight[a], 6 * view[a]
+            ra = wa * (residual[a] - mean_r)
+            n0, n1 = J[a, 6] - mean_n0, J[a, 7] - mean_n1
+            for p in range(6):
+                g[ka + p] += J[a, p] * ra
+                A[ka + p, normal_at] += wa * J[a, p] * n0
+                A[ka + p, normal_at + 1] += wa * J[a, p] * n1
+                for q in range(6):
+                    A[ka + p, ka + q] += wa * J[a, p] * J[a, q]
+                eliminated[landmark[a], ka + p] = wa * J[a, p] / np.sqrt(total)
+            g[normal_at] += n0 * ra
+            g[normal_at + 1] += n1 * ra
+            A[normal_at, normal_at] += wa * n0 * n0
+            A[normal_at, normal_at + 1] += wa * n0 * n1
+            A[normal_at + 1, normal_at + 1] += wa * n1 * n1
         i = j
     for p in range(normal_at):
         A[normal_at, p] = A[p, normal_at]
@@ -108,7 +134,7 @@ def reduce_normal_equations(view, landmark, weight, residual, J, A, g):
     A[normal_at + 1, normal_at] = A[normal_at, normal_at + 1]
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
 def solve_positive(A, b):
     """Return x with A x = b for a positive definite A, which is overwritten (Cholesky).
 

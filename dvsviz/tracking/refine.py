@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +24,7 @@ from dvsviz.geometry.plane import (
     turn_normal_derivative,
 )
 from dvsviz.tracking import constants as c
-from dvsviz.tracking.edges import associate, bounds, find_ridges
+from dvsviz.tracking.edges import Ridges, Shown, associate, bounds, find_ridges, means, to_cells
 from dvsviz.tracking.normal_equations import landmark_jacobians, reduce_normal_equations, solve_positive
 
 Array = NDArray[np.float64]
@@ -124,36 +123,42 @@ def refine(
     )
 
 
-def _to_cells(bearings: Array, T: Array, plane: Plane, scale: float) -> Array:
-    """Return plane coordinates (N, 2) in cells from the map frame's origin."""
+def _shown(bearings: list[Array], Ts: Array, plane: Plane, scale: float, is_face: bool) -> Shown:
+    """Return what the views show of a plane: all of all views, but on a face of a panorama what is near to it."""
+    views = list(range(len(bearings)))
+    if is_face:
+        near = [_on_face(b, T, plane) for b, T in zip(bearings, Ts, strict=True)]
+        views = [k for k in views if near[k].any()]
+        bearings = [bearings[k][near[k]] for k in views]
+    together = np.concatenate([np.zeros((0, 2)), *bearings])
+    first = np.cumsum([0, *map(len, bearings)])
+    cells = np.empty_like(together)
+    H = np.array([homography_map_camera(Ts[k], plane) for k in views]).reshape(-1, 3, 3)
+    to_cells(together, first, np.array([[scale], [scale], [1.0]]) * H, cells)
+    return Shown(views=np.array(views, dtype=np.int64), first=first, bearings=together, cells=cells)
+
+
+def _on_face(bearings: Array, T: Array, plane: Plane) -> NDArray[np.bool_]:
+    """Return which bearings (N, 2) of a view lie on a face of a panorama."""
+    n_camera = plane.normal @ T[:3, :3]
+    ahead = bearings @ n_camera[:2] + n_camera[2] < -1e-3
     H = homography_map_camera(T, plane)
     q = bearings @ H[:, :2].T + H[:, 2]
-    return scale * q[:, :2] / q[:, 2:]
+    return ahead & (np.abs(q[:, :2]) < c.FACE_REFINED * q[:, 2:]).all(axis=1)
 
 
-def _shown(
-    bearings: list[Array], Ts: Array, plane: Plane, scale: float, is_face: bool
-) -> tuple[list[int], list[Array], list[Array]]:
-    """Return which views show something of a plane, their bearings there and the cells of those.
-
-    All of all views, but on a face of a panorama, which is a part of what is seen.
-    """
-    if not is_face:
-        cells = [_to_cells(b, T, plane, scale) for b, T in zip(bearings, Ts, strict=True)]
-        return list(range(len(bearings))), bearings, cells
-    views: list[int] = []
-    shown: list[Array] = []
-    found: list[Array] = []
-    for k, (b, T) in enumerate(zip(bearings, Ts, strict=True)):
-        n_camera = plane.normal @ T[:3, :3]
-        ahead = b[b @ n_camera[:2] + n_camera[2] < -1e-3]
-        cells = _to_cells(ahead, T, plane, scale)
-        near = np.abs(cells).max(axis=1, initial=0.0) < c.FACE_REFINED * scale
-        if near.any():
-            views.append(k)
-            shown.append(np.ascontiguousarray(ahead[near]))
-            found.append(cells[near])
-    return views, shown, found
+def _landmarks(shown: Shown, gate: float) -> tuple[Ridges, Array] | None:
+    """Return the ridges that views show together, and for each ridge and view (L, V, 4) what `associate` sums."""
+    if len(shown.views) < 2:
+        return None
+    low, shape = bounds(shown.cells)
+    cells = shown.cells - low
+    ridges = find_ridges(cells, shape, gate)
+    if ridges is None:
+        return None
+    sums = np.zeros((len(ridges.xy), len(shown.views), 4))
+    associate(cells, shown.bearings, shown.first, ridges.label, ridges.xy, ridges.normal, gate, sums)
+    return ridges, sums
 
 
 def disagreement(
@@ -167,35 +172,46 @@ def disagreement(
     judged does not depend on how it was found.
     """
     squares, weights = 0.0, 0.0
-    gate = c.REFINE_JUDGE_GATE_PX
     for face in faces or (plane,):
-        _, shown, cells = _shown(bearings, Ts, face, scale, bool(faces))
-        if len(cells) < 2:
+        found = _landmarks(_shown(bearings, Ts, face, scale, bool(faces)), c.REFINE_JUDGE_GATE_PX)
+        if found is None:
             continue
-        low, shape = bounds(cells)
-        ridges = find_ridges(cells, low, shape, gate)
-        if ridges is None:
-            continue
-        count = np.zeros((len(cells), len(ridges.xy)))
-        mean = np.zeros_like(count)
-        for k, points in enumerate(cells):
-            sums = np.zeros((len(ridges.xy), 4))
-            associate(points - low, shown[k], ridges.label, ridges.xy, ridges.normal, gate, sums)
-            seen = sums[:, 0] >= c.REFINE_MIN_EVENTS
-            count[k] = np.where(seen, np.minimum(sums[:, 0], c.REFINE_MAX_EVENTS), 0.0)
-            mean[k] = np.where(seen, sums[:, 1] / np.maximum(sums[:, 0], 1.0), 0.0)
-        shared = (count > 0).sum(axis=0) >= 2
-        weight = count[:, shared]
-        value = mean[:, shared]
-        if not shared.any():
-            continue
-        centre = (weight * value).sum(axis=0) / weight.sum(axis=0)
-        squares += float((weight * (value - centre) ** 2).sum())
+        landmark, _, mean = means(found[1], c.REFINE_MIN_EVENTS)
+        shared = np.bincount(landmark)[landmark] >= 2
+        landmark, weight, value = (
+            landmark[shared],
+            np.minimum(mean[shared, 0], c.REFINE_MAX_EVENTS),
+            mean[shared, 1],
+        )
+        total = np.bincount(landmark, weight)
+        centre = np.bincount(landmark, weight * value) / np.maximum(total, 1e-9)
+        squares += float((weight * (value - centre[landmark]) ** 2).sum())
         weights += float(weight.sum())
     if weights <= 0:
         return float("inf")
     nearness = plane.distance / float(np.mean(plane.distance + Ts[:, :3, 3] @ plane.normal))
     return float(np.sqrt(squares / weights)) * nearness
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Observations:
+    """Landmarks as views saw them.
+
+    Attributes:
+        view: of each observation (M,).
+        landmark: the same (M,), increasing.
+        weight: the same (M,).
+        residual: distance (M,), map px.
+        J: its derivative (M, 8) by the view's pose and the plane's normal.
+        landmarks: how many there are.
+    """
+
+    view: NDArray[np.int64]
+    landmark: NDArray[np.int64]
+    weight: Array
+    residual: Array
+    J: Array
+    landmarks: int
 
 
 def _observations(
@@ -206,47 +222,36 @@ def _observations(
     gate: float,
     free: NDArray[np.bool_],
     is_face: bool,
-) -> tuple[int, list[tuple[NDArray[Any], ...]]]:
-    """Return the number of landmarks on a plane, and for each view (view, landmark, weight, residual, Jacobian)."""
-    R_map_world = rotation_to_map(plane.normal)
-    views, shown, cells = _shown(bearings, Ts, plane, scale, is_face)
-    columns: list[tuple[NDArray[Any], ...]] = []
-    if len(cells) < 2:
-        return 0, columns
-    low, shape = bounds(cells)
-    ridges = find_ridges(cells, low, shape, gate)
-    if ridges is None:
-        return 0, columns
-    L = len(ridges.xy)
-    d_normal = turn_normal_derivative(plane.normal, np.zeros(2))
-    for k, seen_by_k, points in zip(views, shown, cells, strict=True):
-        sums = np.zeros((L, 4))
-        associate(points - low, seen_by_k, ridges.label, ridges.xy, ridges.normal, gate, sums)
-        seen = np.flatnonzero(sums[:, 0] >= c.REFINE_MIN_EVENTS)
-        if len(seen) == 0:
-            continue
-        count = sums[seen, 0]
-        mean = sums[seen, 1:] / count[:, None]
-        J = np.empty((len(seen), 8))
-        landmark_jacobians(
-            np.ascontiguousarray(mean[:, 1:]),
-            np.ascontiguousarray(Ts[k, :3, :3]),
-            np.ascontiguousarray(Ts[k, :3, 3]),
-            plane.normal,
-            plane.distance,
-            R_map_world,
-            scale,
-            ridges.normal[seen],
-            d_normal,
-            J,
-        )
-        J[:, :6][:, ~free] = 0.0
-        weight = np.minimum(count, c.REFINE_MAX_EVENTS)
-        # Huber on the mean residual of a landmark in a view.
-        huber = 0.5 * gate
-        weight = weight * np.where(np.abs(mean[:, 0]) > huber, huber / np.maximum(np.abs(mean[:, 0]), 1e-9), 1.0)
-        columns.append((np.full(len(seen), k), seen, weight, mean[:, 0], J))
-    return L, columns
+) -> _Observations | None:
+    shown = _shown(bearings, Ts, plane, scale, is_face)
+    found = _landmarks(shown, gate)
+    if found is None:
+        return None
+    ridges, sums = found
+    landmark, row, mean = means(sums, c.REFINE_MIN_EVENTS)
+    view = shown.views[row]
+    J = np.empty((len(view), 8))
+    landmark_jacobians(
+        np.ascontiguousarray(mean[:, 2:]),
+        view,
+        np.ascontiguousarray(Ts[:, :3, :3]),
+        np.ascontiguousarray(Ts[:, :3, 3]),
+        plane.normal,
+        plane.distance,
+        rotation_to_map(plane.normal),
+        scale,
+        ridges.normal[landmark],
+        turn_normal_derivative(plane.normal, np.zeros(2)),
+        J,
+    )
+    J[:, :6][:, ~free] = 0.0
+    weight, residual = np.minimum(mean[:, 0], c.REFINE_MAX_EVENTS), np.ascontiguousarray(mean[:, 1])
+    # Huber on the mean residual of a landmark in a view.
+    huber, off = 0.5 * gate, np.abs(residual)
+    weight *= np.where(off > huber, huber / np.maximum(off, 1e-9), 1.0)
+    return _Observations(
+        view=view, landmark=landmark, weight=weight, residual=residual, J=J, landmarks=len(ridges.xy)
+    )
 
 
 def _round(
@@ -261,31 +266,22 @@ def _round(
     held: int,
     faces: Sequence[Plane],
 ) -> tuple[Array, Plane, float, int, float] | None:
-    K, total = len(Ts), 0
-    columns: list[tuple[NDArray[Any], ...]] = []
-    for face in faces or (plane,):
-        L, found = _observations(bearings, Ts, face, scale, gate, free, bool(faces))
-        columns += [(k, seen + total, *rest) for k, seen, *rest in found]
-        total += L
-    if len(columns) < 2:
-        return None
-    view, landmark, weight, residual = (np.concatenate([col[i] for col in columns]) for i in range(4))
-    J = np.concatenate([col[4] for col in columns])
-    order = np.argsort(landmark, kind="stable")
-    size = 6 * K + 2
+    size = 6 * len(Ts) + 2
     A, g = np.zeros((size, size)), np.zeros(size)
-    reduce_normal_equations(
-        view[order].astype(np.int64),
-        landmark[order].astype(np.int64),
-        weight[order],
-        residual[order],
-        np.ascontiguousarray(J[order]),
-        A,
-        g,
-    )
+    squares, weights, total = 0.0, 0.0, 0
+    for face in faces or (plane,):
+        seen = _observations(bearings, Ts, face, scale, gate, free, bool(faces))
+        if seen is None:
+            continue
+        reduce_normal_equations(seen.view, seen.landmark, seen.weight, seen.residual, seen.J, seen.landmarks, A, g)
+        squares += float(seen.weight @ seen.residual**2)
+        weights += float(seen.weight.sum())
+        total += seen.landmarks
+    if weights <= 0:
+        return None
     fixed = np.zeros(size, dtype=bool)
     fixed[: 6 * held] = True
-    fixed[:-2] |= np.tile(~free, K)
+    fixed[:-2] |= np.tile(~free, len(Ts))
     fixed[-2:] = not solve_normal
     strength = c.REFINE_CORRELATED * c.REFINE_VARIANCE_PX2
     prior = np.full(size, strength / c.REFINE_PRIOR_POSE**2)
@@ -298,15 +294,12 @@ def _round(
     limit = np.abs(x).max()
     if limit > 0.2:
         x *= 0.2 / limit
-    Ts = Ts.copy()
-    for k in range(K):
-        dx = x[6 * k : 6 * k + 6]
-        R = Ts[k, :3, :3]
-        Ts[k, :3, 3] += R @ dx[3:]
-        Ts[k, :3, :3] = R @ se3.exp_so3(dx[:3])
+    dx = x[:-2].reshape(-1, 6)
+    Ts, R = Ts.copy(), Ts[:, :3, :3]
+    Ts[:, :3, 3] += np.einsum("kij,kj->ki", R, dx[:, 3:])
+    Ts[:, :3, :3] = R @ se3.exp_so3(dx[:, :3])
     plane = Plane(normal=turn_normal(plane.normal, x[-2:]), distance=plane.distance)
-    rms = float(np.sqrt(np.average(residual**2, weights=weight)))
-    return Ts, plane, rms, total, float(limit)
+    return Ts, plane, float(np.sqrt(squares / weights)), total, float(limit)
 
 
 def _offset(start: tuple[Array, Plane], Ts: Array, plane: Plane) -> Array:
