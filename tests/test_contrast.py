@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dvsviz.contrast import kernels
 from dvsviz.contrast.iwe import image_of_warped_events, sample_window, vote, warp_points
 from dvsviz.contrast.objectives import ObjectiveName, objective
 from dvsviz.contrast.relief import ReliefProblem, grid_shape, maximize_relief_contrast
@@ -26,6 +25,7 @@ from dvsviz.geometry.plane import (
     turn_normal,
     turn_normal_derivative,
 )
+from dvsviz.tracking.pose_equations import pose_equations, turned
 
 CAMERA = Camera(width=240, height=180, fx=200.0, fy=200.0, cx=119.5, cy=89.5)
 SMALL = Camera(width=48, height=32, fx=40.0, fy=42.0, cx=23.0, cy=16.5)
@@ -187,13 +187,13 @@ def test_pose_equations_against_a_slow_reference() -> None:
     plane, start = Plane(normal=TILTED, distance=1.1), -0.08
     T = se3.pose(se3.exp_so3(np.array([0.05, -0.1, 0.2])), np.array([0.1, -0.05, 0.15]))
     warp = map_warp(T, OMEGA, VELOCITY, plane, start, 0.2, target)
-    times, scale = np.linspace(0, 0.2, 33), 32 / 0.2
-    turns = se3.exp_so3(np.multiply.outer(start + times, OMEGA))
+    rays = np.empty((len(bearings), 3))
+    turned(bearings, start + t_s, np.array(OMEGA), rays)
     to_map = target @ (rotation_to_map(plane.normal) / np.array([[1.0], [1.0], [plane.distance]]))
     H, g = np.zeros((6, 6)), np.zeros(6)
-    total, inside = kernels.pose_equations(
-        bearings, t_s, turns, scale, start, T[:3, :3].copy(), T[:3, 3].copy(), np.array(VELOCITY), TILTED,
-        plane.distance, to_map, image, 0.7, H, g,
+    total, inside = pose_equations(
+        rays, start + t_s, T[:3, :3].copy(), T[:3, 3].copy(), np.array(VELOCITY), TILTED, plane.distance, to_map, image,
+        0.7, H, g,
     )  # fmt: skip
     slow_H, slow_g, slow_total, slow_inside = np.zeros((6, 6)), np.zeros(6), 0.0, 0
     for b, t in zip(bearings.astype(float), t_s, strict=True):

@@ -281,9 +281,8 @@ def test_alignment_recovers_a_displaced_pose() -> None:
     plane = Plane(normal=TILTED)
     points = grid_points()
     planar_map = PlanarMap(plane, 200.0, np.array([-0.9, -0.7]), (300, 380), freeze_px=np.inf)
-    cells = ((points - planar_map.origin) * 200.0).astype(np.float32)
-    view = planar_map.projection @ homography_map_camera(np.eye(4), plane)
-    planar_map.add(cells, view, view, (180, 240), CAMERA.matrix)
+    view = homography_map_camera(np.eye(4), plane)
+    planar_map.add(points.astype(np.float32), view, view, (180, 240), CAMERA.matrix)
     # Swept evenly: every line is as bright as the next.
     planar_map.exposure[:] = 1.0
     truth = se3.pose(se3.exp_so3([0.03, -0.02, 0.05]), [0.05, -0.03, 0.04])
@@ -369,8 +368,8 @@ def test_frozen_cells_are_not_written() -> None:
     planar_map = PlanarMap(Plane(normal=np.array([0.0, 0.0, -1.0])), 200.0, np.zeros(2), (160, 240), freeze_px=50.0)
     planar_map.exposure[:] = 60.0
     planar_map.exposure[0, 0] = 1.0
-    points = np.array([[4.0, 4.0], [100.0, 100.0]], dtype=np.float32)
-    view = planar_map.projection @ homography_map_camera(np.eye(4), planar_map.plane)
+    points = np.array([[4.0, 4.0], [100.0, 100.0]]) / 200.0
+    view = homography_map_camera(np.eye(4), planar_map.plane)
     planar_map.add(points, view, view, (180, 240), CAMERA.matrix)
     assert planar_map.votes[4, 4] == 1.0
     assert planar_map.votes.sum() == 1.0

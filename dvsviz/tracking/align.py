@@ -12,18 +12,14 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from dvsviz.contrast.kernels import pose_equations
 from dvsviz.geometry import se3
 from dvsviz.geometry.plane import points_to_map
 from dvsviz.tracking import constants as c
 from dvsviz.tracking.kernels import exp_rotation
 from dvsviz.tracking.planar_map import PlanarMap
+from dvsviz.tracking.pose_equations import pose_equations, turned
 
 Array = NDArray[np.float64]
-
-# Nodes a window: its rotation is interpolated linearly between them; 4 intervals keep a turn of 0.1 rad in one window
-# exact to 1e-4 rad.
-_NODES = 5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -90,7 +86,6 @@ def align(
         first_level: 0 for the whole pyramid, more to start finer.
         iterations: steps at each level.
     """
-    levels = planar_map.pyramid()
     plane = planar_map.plane
     target = planar_map.projection @ points_to_map(plane)
     if prior is None:
@@ -99,23 +94,21 @@ def align(
     R0, p0 = R.copy(), p.copy()
     information = np.zeros((6, 6))
     value, inside, steps, step_px = 0.0, 0.0, 0, 0.0
-    start, end = float(t_s[0]), float(t_s[-1])
-    for i in range(first_level, len(levels)):
+    rays = np.empty((len(bearings), 3))
+    turned(bearings, t_s, omega, rays)
+    for i in range(first_level, len(c.ALIGN_BLURS_PX)):
         value, inside, taken, step_px = _descend(
-            levels[i],
-            bearings,
-            t_s - start,
+            planar_map.level(i),
+            rays,
+            t_s,
             R,
             p,
             R0,
             p0,
-            omega,
             velocity,
             plane.normal,
             plane.distance,
             target,
-            start,
-            max(end - start, 1e-6),
             free,
             prior,
             anchored,
@@ -142,19 +135,16 @@ def default_prior() -> Array:
 @numba.njit(cache=True, nogil=True)
 def _descend(
     image,
-    bearings,
-    t_rel,
+    rays,
+    t_s,
     R,
     p,
     R_prior,
     p_prior,
-    omega,
     velocity,
     normal,
     distance,
     target,
-    start,
-    duration,
     free,
     prior,
     anchored,
@@ -163,31 +153,13 @@ def _descend(
     information,
 ):
     """Take up to `limit` damped Gauss-Newton steps on one level, moving R and p in place."""
-    turns = np.empty((_NODES, 3, 3))
-    for k in range(_NODES):
-        turns[k] = exp_rotation(omega * (start + duration * k / (_NODES - 1)))
     hessian, gradient = np.zeros((6, 6)), np.zeros(6)
-    scale = (_NODES - 1) / duration
     total, inside, taken, step_px = 0.0, 0, 0, 0.0
     for _ in range(limit):
         hessian[:] = 0.0
         gradient[:] = 0.0
         total, inside = pose_equations(
-            bearings,
-            t_rel,
-            turns,
-            scale,
-            start,
-            R,
-            p,
-            velocity,
-            normal,
-            distance,
-            target,
-            image,
-            c.ALIGN_ROBUST,
-            hessian,
-            gradient,
+            rays, t_s, R, p, velocity, normal, distance, target, image, c.ALIGN_ROBUST, hessian, gradient
         )
         information[:] = hessian
         A = hessian + prior * c.RESIDUAL_VARIANCE
@@ -228,6 +200,6 @@ def _descend(
         step_px = size * focal_px
         if step_px < c.ALIGN_STEP_PX:
             break
-    count = bearings.shape[0]
+    count = rays.shape[0]
     value = total / inside if inside > 0 else 0.0
     return value, inside / count, taken, step_px

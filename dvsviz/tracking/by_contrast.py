@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from dvsviz.config import TrackerConfig
 from dvsviz.contrast.iwe import sample_indices, vote, warp_points
-from dvsviz.contrast.kernels import pose_equations
 from dvsviz.contrast.objectives import Image
 from dvsviz.contrast.solve import ContrastProblem, maximize_contrast
 from dvsviz.contrast.warp import window_warp
@@ -27,13 +26,12 @@ from dvsviz.tracking import constants as c
 from dvsviz.tracking.align import Alignment
 from dvsviz.tracking.bootstrap import contrast_problem
 from dvsviz.tracking.planar_map import PlanarMap
+from dvsviz.tracking.pose_equations import pose_equations, turned
 from dvsviz.tracking.state import Motion
 
 Array = NDArray[np.float64]
 
 _ONE = np.ones(1, dtype=np.float32)
-# Nodes that a window's rotation is interpolated between, as in `tracking.align`.
-_NODES = 5
 
 
 def follow_by_contrast(
@@ -127,7 +125,7 @@ def with_map(
         alone,
         weights=_ONE,
         target=shift @ H,
-        texture=cut(planar_map.pyramid()[-1], int(low[1]), int(low[0]), rows, cols)
+        texture=cut(planar_map.level(-1), int(low[1]), int(low[0]), rows, cols)
         * np.float32(c.STAGE_TEXTURE * strength),
     )
 
@@ -165,22 +163,19 @@ def placed(
     """
     plane = planar_map.plane
     target = planar_map.projection @ points_to_map(plane)
-    start, duration = float(t_s[0]), max(float(t_s[-1] - t_s[0]), 1e-6)
-    at = start + np.linspace(0.0, duration, _NODES)
+    rays = np.empty((len(bearings), 3))
+    turned(bearings, t_s, omega, rays)
     information, gradient = np.zeros((6, 6)), np.zeros(6)
     total, inside = pose_equations(
-        bearings,
-        t_s - start,
-        se3.exp_so3(np.multiply.outer(at, omega)),
-        (_NODES - 1) / duration,
-        start,
+        rays,
+        t_s,
         np.ascontiguousarray(T_world_camera[:3, :3]),
         np.ascontiguousarray(T_world_camera[:3, 3]),
         velocity,
         plane.normal,
         plane.distance,
         target,
-        planar_map.pyramid()[-1],
+        planar_map.level(-1),
         c.ALIGN_ROBUST,
         information,
         gradient,

@@ -183,6 +183,8 @@ CONTRAST_EVALUATIONS: Final = 30
 # Events used for a motion by contrast alone, and for a window's images.
 CONTRAST_EVENTS: Final = 8_000
 MEASURE_EVENTS: Final = 8_000
+# Votes above which a pixel of a window's image holds an edge, at least.
+EDGE_VOTES: Final = 1.5
 # Score by the running score of good windows: below, a window is weak or bad.
 WEAK_RATIO: Final = 0.7
 LOST_RATIO: Final = 0.45

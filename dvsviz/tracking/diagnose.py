@@ -89,7 +89,7 @@ def agreement(planar_map: PlanarMap, value: float, T_world_camera: Array, camera
     """
     H = planar_map.projection @ homography_map_camera(T_world_camera, planar_map.plane)
     chance, inside = footprint_mean(
-        planar_map.pyramid()[-1],
+        planar_map.level(-1),
         planar_map.exposure,
         c.EXPOSURE_CELL_PX,
         H,
@@ -126,7 +126,7 @@ def overlap(planar_map: PlanarMap, images: WindowImages, T_world_camera: Array, 
     """
     H = planar_map.projection @ homography_map_camera(T_world_camera, planar_map.plane)
     share, count = explained_share(
-        images.warped, images.edge_level, planar_map.pyramid()[-1], H, camera.matrix, c.OVERLAP_EDGE
+        images.warped, images.edge_level, planar_map.level(-1), H, camera.matrix, c.OVERLAP_EDGE
     )
     return share if count >= _OVERLAP_PIXELS else float("nan")
 
@@ -160,7 +160,7 @@ def stripes(planar_map: PlanarMap, T_world_camera: Array, camera: Camera) -> tup
         direction (6,): motion along the edges with the rotation that looks like it.
     """
     H = planar_map.projection @ homography_map_camera(T_world_camera, planar_map.plane)
-    level = planar_map.pyramid()[c.STRIPES_LEVEL]
+    level = planar_map.level(c.STRIPES_LEVEL)
     xx, xy, yy = slope_tensor(level, H, camera.matrix, camera.width, camera.height, c.STRIPES_COLUMNS)
     values, vectors = np.linalg.eigh(np.array([[xx, xy], [xy, yy]]))
     along_map = np.array([*vectors[:, 0], 0.0])

@@ -47,13 +47,15 @@ def map_nodes(R0, p0, omega, velocity, normal, distance, target, start, duration
 
 
 @numba.njit(cache=True, nogil=True)
-def vote_window(bearings, t_s, sign, nodes, scale, K, warped, signed, raw):
+def vote_window(bearings, t_us, is_positive, step, start_us, nodes, scale, K, warped, signed, raw):
     """Vote a window bilinearly into three images (rows, columns), added to in place.
 
     Args:
         bearings: (N, 2) float32.
-        t_s: seconds since the first node (N,).
-        sign: polarities ±1 (N,) float32.
+        t_us: times (N,), int64.
+        is_positive: polarities (N,), bool.
+        step: every so manieth event is taken.
+        start_us: time of the first node.
         nodes: homographies to pixels (M, 3, 3), linear in time in between.
         scale: nodes per second.
         K: calibration (3, 3), for `raw`.
@@ -62,15 +64,70 @@ def vote_window(bearings, t_s, sign, nodes, scale, K, warped, signed, raw):
         raw: the polarities where the events were, without motion.
     """
     rows, cols = warped.shape
-    for i in range(bearings.shape[0]):
+    for i in range(0, bearings.shape[0], step):
         x, y = bearings[i, 0], bearings[i, 1]
+        sign = np.float32(1.0) if is_positive[i] else np.float32(-1.0)
         u, v = K[0, 0] * x + K[0, 2], K[1, 1] * y + K[1, 2]
         if is_inside(u, v, rows, cols):
-            splat(raw, u, v, sign[i])
-        u, v = warp_one(nodes, scale, t_s[i], x, y)
+            splat(raw, u, v, sign)
+        u, v = warp_one(nodes, scale, (t_us[i] - start_us) * 1e-6, x, y)
         if is_inside(u, v, rows, cols):
             splat(warped, u, v, 1.0)
-            splat(signed, u, v, sign[i])
+            splat(signed, u, v, sign)
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
+def variance(image):
+    """Return the variance of an image (rows, columns)."""
+    total, squares = 0.0, 0.0
+    for value in image.ravel():
+        total += value
+        squares += value * value
+    return squares / image.size - (total / image.size) ** 2
+
+
+@numba.njit(cache=True, nogil=True)
+def edges_of(image, least):
+    """Return the level above which a pixel of an IWE (rows, columns) holds an edge, and how many do.
+
+    The level is half of what nine tenths of the occupied pixels stay below (of 1024 steps), and at least `least`.
+    """
+    top = image.max()
+    bins = np.zeros(1024, dtype=np.int64)
+    occupied = 0
+    for value in image.ravel():
+        if value > 0.0:
+            occupied += 1
+            bins[min(1023, int(value / top * 1024.0))] += 1
+    level, seen = least, 0
+    for i in range(1024 if occupied > 0 else 0):
+        seen += bins[i]
+        if seen >= 0.9 * occupied:
+            level = max(least, 0.5 * top * (i + 0.5) / 1024.0)
+            break
+    count = 0
+    for value in image.ravel():
+        count += value > level
+    return level, count
+
+
+@numba.njit(cache=True, nogil=True)
+def reach(points, step):
+    """Return the corners (2,), (2,) of the box of some points (N, 2), but for the outermost; NaN is left out.
+
+    Args:
+        points: (N, 2).
+        step: every so manieth is looked at.
+    """
+    low, high = np.full(2, np.nan), np.full(2, np.nan)
+    some = points[::step]
+    for axis in range(2):
+        values = np.sort(some[:, axis][np.isfinite(some[:, axis])])
+        n = len(values)
+        if n > 0:
+            outer = int(0.005 * n)
+            low[axis], high[axis] = values[outer], values[n - 1 - outer]
+    return low, high
 
 
 @numba.njit(cache=True, nogil=True)

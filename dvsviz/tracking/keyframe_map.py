@@ -232,7 +232,7 @@ class JointRefiner(Refiner):
         occupied = image[image > 0]
         level = max(1.5, 0.5 * float(np.percentile(occupied, 90))) if len(occupied) else 1.5
         H = others.projection @ homography_map_camera(last.T_world_camera, plane)
-        share, count = explained_share(image, level, others.pyramid()[-1], H, K, c.OVERLAP_EDGE)
+        share, count = explained_share(image, level, others.level(-1), H, K, c.OVERLAP_EDGE)
         return share if count > 0 else float("nan")
 
     def settle(self, traces: Sequence[Trace], plane: Plane) -> Revised:

@@ -11,7 +11,7 @@ from dvsviz.events.windows import EventWindow
 from dvsviz.geometry.camera import Camera
 from dvsviz.geometry.plane import Plane, homography_map_camera
 from dvsviz.tracking import constants as c
-from dvsviz.tracking.kernels import mean_displacement, vote_window
+from dvsviz.tracking.kernels import edges_of, mean_displacement, variance, vote_window
 from dvsviz.tracking.traces import Trace
 
 Array = NDArray[np.float64]
@@ -48,21 +48,28 @@ def measure(camera: Camera, plane: Plane, window: EventWindow, trace: Trace) -> 
         window: its events (a sample of `MEASURE_EVENTS` is used where there are more).
         trace: its pose and velocities.
     """
-    step = -(-len(window) // c.MEASURE_EVENTS)
-    bearings = np.ascontiguousarray(window.bearings[::step])
-    t_s = np.ascontiguousarray(window.t_s[::step])
-    sign = np.where(window.events.is_positive[::step], np.float32(1), np.float32(-1))
-    warped, signed, raw = (np.zeros((camera.height, camera.width), dtype=np.float32) for _ in range(3))
+    warped, signed, raw = np.zeros((3, camera.height, camera.width), dtype=np.float32)
     K = camera.matrix
     warp = trace.warp(plane, K @ np.linalg.inv(homography_map_camera(trace.T_world_camera, plane)))
-    vote_window(bearings, t_s, sign, warp.nodes, warp.scale, K, warped, signed, raw)
-    occupied = warped[warped > 0]
-    level = max(1.5, 0.5 * float(np.percentile(occupied, 90))) if len(occupied) else 1.5
+    vote_window(
+        window.bearings,
+        window.events.t_us,
+        window.events.is_positive,
+        -(-len(window) // c.MEASURE_EVENTS),
+        window.start_us,
+        warp.nodes,
+        warp.scale,
+        K,
+        warped,
+        signed,
+        raw,
+    )
+    level, edges = edges_of(warped, c.EDGE_VOTES)
     return WindowImages(
         warped=warped,
-        contrast_before=float(raw.var()),
-        contrast_after=float(signed.var()),
+        contrast_before=variance(raw),
+        contrast_after=variance(signed),
         edge_level=level,
-        edge_pixels=int(np.count_nonzero(warped > level)),
+        edge_pixels=edges,
         displacement_px=float(mean_displacement(warp.nodes[0], warp.nodes[-1], K, camera.width, camera.height)),
     )

@@ -7,6 +7,8 @@ do not outweigh weak ones (tracking notes, finding 5).
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numba
 import numpy as np
@@ -19,6 +21,21 @@ from dvsviz.tracking import constants as c
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
+
+
+@dataclass(slots=True, kw_only=True, eq=False)
+class _Level:
+    """A blurred edge image.
+
+    Attributes:
+        image: (rows, columns).
+        dirty: box of cells (first row, first column, end row, end column) that has changed since it was made.
+        density: that it was made with.
+    """
+
+    image: Image
+    dirty: tuple[int, int, int, int] | None
+    density: float = 0.0
 
 
 class PlanarMap:
@@ -55,12 +72,10 @@ class PlanarMap:
         self.origin = np.asarray(origin, dtype=np.float64)
         self.votes: Image = np.zeros((rows, cols), dtype=np.float32)
         self.exposure: Image = np.zeros((rows // b, cols // b), dtype=np.float32)
-        self._levels: list[Image] = []
+        self._levels = [_Level(image=np.zeros_like(self.votes), dirty=(0, 0, rows, cols)) for _ in c.ALIGN_BLURS_PX]
         self.adds = 0
         self.density = 0.0
         self._is_density_due = True
-        self._p90 = 0.0
-        self._dirty: tuple[int, int, int, int] | None = (0, 0, rows, cols)
 
     @property
     def projection(self) -> Array:
@@ -75,6 +90,11 @@ class PlanarMap:
         """
         s, b = self.px_per_unit, c.EXPOSURE_CELL_PX
         rows, cols = self.votes.shape
+        left, top = (low - self.origin) * s
+        right, bottom = (high - self.origin) * s
+        # Where nothing is finite there is nothing to hold.
+        if not min(left, top) < 0.0 and not right >= cols - 2 and not bottom >= rows - 2:
+            return False
         lo = np.floor((np.clip(low, -self.reach, self.reach) - self.origin) * s)
         hi = np.ceil((np.clip(high, -self.reach, self.reach) - self.origin) * s)
         if not (np.all(np.isfinite(lo)) and np.all(np.isfinite(hi))):
@@ -89,11 +109,12 @@ class PlanarMap:
             return False
         self.votes = np.pad(self.votes, ((top, bottom), (left, right)))
         self.exposure = np.pad(self.exposure, ((top // b, bottom // b), (left // b, right // b)))
-        self._levels = [np.pad(level, ((top, bottom), (left, right))) for level in self._levels]
         self.origin = self.origin - np.array([left, top]) / s
-        if self._dirty is not None:
-            r0, c0, r1, c1 = self._dirty
-            self._dirty = (r0 + top, c0 + left, r1 + top, c1 + left)
+        for level in self._levels:
+            level.image = np.pad(level.image, ((top, bottom), (left, right)))
+            if level.dirty is not None:
+                r0, c0, r1, c1 = level.dirty
+                level.dirty = (r0 + top, c0 + left, r1 + top, c1 + left)
         return True
 
     def add(
@@ -109,8 +130,8 @@ class PlanarMap:
         """Add a window's events.
 
         Args:
-            points: cells (N, 2) of its events.
-            start: homography (3, 3) from bearings to cells at its first event.
+            points: plane coordinates (N, 2) of its events.
+            start: homography (3, 3) from bearings to plane coordinates at its first event.
             end: the same at its end.
             sensor: (height, width) of the camera, for the footprint.
             K: the camera's calibration (3, 3).
@@ -118,11 +139,21 @@ class PlanarMap:
         """
         self.adds += 1
         self._is_density_due |= self.adds <= c.DENSITY_AFTER or self.adds % c.DENSITY_EVERY == 0
-        frozen_vote(points, self.votes, self.exposure, c.EXPOSURE_CELL_PX, self.freeze_px, weight)
+        frozen_vote(
+            points,
+            self.px_per_unit,
+            self.origin,
+            self.votes,
+            self.exposure,
+            c.EXPOSURE_CELL_PX,
+            self.freeze_px,
+            weight,
+        )
+        projection = self.projection
         box = add_exposure(
             self.exposure,
-            np.linalg.inv(start),
-            np.linalg.inv(end),
+            projection @ start,
+            projection @ end,
             K,
             sensor[0],
             sensor[1],
@@ -130,41 +161,41 @@ class PlanarMap:
             self.freeze_px,
         )
         r0, c0, r1, c1 = (int(v) * c.EXPOSURE_CELL_PX for v in box)
-        if r1 > r0:
-            d = self._dirty
-            self._dirty = (
-                (r0, c0, r1, c1) if d is None else (min(d[0], r0), min(d[1], c0), max(d[2], r1), max(d[3], c1))
-            )
+        for level in self._levels if r1 > r0 else ():
+            d = level.dirty or (r0, c0, r1, c1)
+            level.dirty = (min(d[0], r0), min(d[1], c0), max(d[2], r1), max(d[3], c1))
 
-    def pyramid(self) -> list[Image]:
-        """Return the edge image M in [0, 1] blurred by each of `ALIGN_BLURS_PX`, up to date; do not write to it."""
-        if self._dirty is None and self._levels:
-            return self._levels
-        if not self._levels:
-            self._levels = [np.zeros_like(self.votes) for _ in c.ALIGN_BLURS_PX]
-        rows, cols = self.votes.shape
+    def prepare(self, first: int = 0) -> None:
+        """Bring the pyramid from a level on up to date, before threads read it."""
+        for number in range(first, len(c.ALIGN_BLURS_PX)):
+            self.level(number)
+
+    def level(self, number: int) -> Image:
+        """Return M blurred by one of `ALIGN_BLURS_PX`, up to date; do not write to it. What nobody asks for is not made."""
         if self._is_density_due:
             self.density = occupied_percentile(self.votes, self.exposure, c.EXPOSURE_CELL_PX, 0.9)
             self._is_density_due = False
-        p90 = self.density
+        level = self._levels[number]
+        if level.density == self.density and level.dirty is None:
+            return level.image
+        rows, cols = self.votes.shape
         # Another saturation changes every cell: the levels depend on the votes alone, not on when they were asked for.
-        r0, c0, r1, c1 = (self._dirty if p90 == self._p90 else None) or (0, 0, rows, cols)
-        self._p90 = p90
-        if p90 <= 0:
-            return self._levels
+        box = level.dirty if level.density == self.density else None
+        r0, c0, r1, c1 = box or (0, 0, rows, cols)
+        level.density, level.dirty = self.density, None
+        if self.density <= 0:
+            return level.image
+        sigma = c.ALIGN_BLURS_PX[number]
         # OpenCV's Gaussian reaches 4 sigma for float images.
-        pad = int(4 * max(c.ALIGN_BLURS_PX)) + 1
+        pad = int(4 * sigma) + 1
         # A halo of one blur around what changed, and one more to blur it from.
         a0, b0, a1, b1 = max(0, r0 - pad), max(0, c0 - pad), min(rows, r1 + pad), min(cols, c1 + pad)
         s0, t0, s1, t1 = max(0, a0 - pad), max(0, b0 - pad), min(rows, a1 + pad), min(cols, b1 + pad)
-        edge = self._edge(s0, t0, s1, t1)
-        for level, sigma in zip(self._levels, c.ALIGN_BLURS_PX, strict=True):
-            blurred = cv2.GaussianBlur(edge, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
-            # A thin line loses its height to the blur: brought back, so that each level still reaches about 1.
-            gain = np.float32(min(1.0 + 1.5 * sigma, 4.0))
-            np.minimum(blurred[a0 - s0 : a1 - s0, b0 - t0 : b1 - t0] * gain, 1.0, out=level[a0:a1, b0:b1])
-        self._dirty = None
-        return self._levels
+        blurred = cv2.GaussianBlur(self._edge(s0, t0, s1, t1), (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
+        # A thin line loses its height to the blur: brought back, so that each level still reaches about 1.
+        gain = np.float32(min(1.0 + 1.5 * sigma, 4.0))
+        np.minimum(blurred[a0 - s0 : a1 - s0, b0 - t0 : b1 - t0] * gain, 1.0, out=level.image[a0:a1, b0:b1])
+        return level.image
 
     def settle(self, adds: int | None = None, density: float | None = None) -> None:
         """Measure the density anew when it is next asked for; or take over a stored count of windows and density."""
@@ -175,13 +206,13 @@ class PlanarMap:
     def _edge(self, r0: int, c0: int, r1: int, c1: int) -> Image:
         """Return M (eq. above) of a block of cells."""
         out = np.empty((r1 - r0, c1 - c0), dtype=np.float32)
-        edge_block(self.votes, self.exposure, c.EXPOSURE_CELL_PX, r0, c0, c.MAP_SATURATION / self._p90, out)
+        edge_block(self.votes, self.exposure, c.EXPOSURE_CELL_PX, r0, c0, c.MAP_SATURATION / self.density, out)
         return out
 
     def edge_image(self) -> Image:
         """Return M in [0, 1] (rows, columns), not blurred."""
-        self.pyramid()
-        if self._p90 <= 0:
+        self.level(-1)
+        if self.density <= 0:
             return np.zeros_like(self.votes)
         return self._edge(0, 0, *self.votes.shape)
 
@@ -203,23 +234,35 @@ class PlanarMap:
 
 
 @numba.njit(cache=True, nogil=True)
-def frozen_vote(points, votes, exposure, block, limit, weight):
-    """Vote points (N, 2) bilinearly into `votes` where the block was swept by less than `limit` px."""
+def frozen_vote(points, px_per_unit, origin, votes, exposure, block, limit, weight):
+    """Vote plane points (N, 2) bilinearly into `votes` where the block was swept by less than `limit` px."""
     rows, cols = votes.shape
     for i in range(points.shape[0]):
-        x, y = points[i, 0], points[i, 1]
+        x, y = (points[i, 0] - origin[0]) * px_per_unit, (points[i, 1] - origin[1]) * px_per_unit
         if is_inside(x, y, rows, cols) and exposure[int(y) // block, int(x) // block] <= limit:
             splat(votes, x, y, weight)
 
 
 @numba.njit(cache=True, nogil=True)
-def add_exposure(exposure, to_start, to_end, K, height, width, block, limit):
+def adjugate(H):
+    """Return the inverse of a homography (3, 3), up to scale; also of one that has none."""
+    out = np.empty((3, 3))
+    for i in range(3):
+        a, b = (i + 1) % 3, (i + 2) % 3
+        for j in range(3):
+            p, q = (j + 1) % 3, (j + 2) % 3
+            out[j, i] = H[a, p] * H[b, q] - H[a, q] * H[b, p]
+    return out
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def add_exposure(exposure, start, end, K, height, width, block, limit):
     """Add to each block the image displacement (px) between two views, where the block is in view.
 
     Args:
         exposure: (rows, columns) blocks, added to in place.
-        to_start: homography (3, 3) from cells to bearings in the first view.
-        to_end: the same in the second view.
+        start: homography (3, 3) from bearings in the first view to cells.
+        end: the same of the second view.
         K: calibration (3, 3).
         height: sensor rows.
         width: sensor columns.
@@ -232,18 +275,18 @@ def add_exposure(exposure, to_start, to_end, K, height, width, block, limit):
     rows, cols = exposure.shape
     r0, c0, r1, c1 = rows, cols, 0, 0
     # Bounding box of the footprint: the sensor's corners in cells.
-    inv = np.linalg.inv(to_start)
+    to_start, to_end = adjugate(start), adjugate(end)
     lo_x, lo_y, hi_x, hi_y = 1e9, 1e9, -1e9, -1e9
     for cy in (0.0, float(height)):
         for cx in (0.0, float(width)):
             bx, by = (cx - K[0, 2]) / K[0, 0], (cy - K[1, 2]) / K[1, 1]
-            z = inv[2, 0] * bx + inv[2, 1] * by + inv[2, 2]
-            sign = 1.0 if inv[2, 2] > 0 else -1.0
+            z = start[2, 0] * bx + start[2, 1] * by + start[2, 2]
+            sign = 1.0 if start[2, 2] > 0 else -1.0
             if z * sign <= 1e-9:
                 lo_x, lo_y, hi_x, hi_y = 0.0, 0.0, float(cols * block), float(rows * block)
                 continue
-            px = (inv[0, 0] * bx + inv[0, 1] * by + inv[0, 2]) / z
-            py = (inv[1, 0] * bx + inv[1, 1] * by + inv[1, 2]) / z
+            px = (start[0, 0] * bx + start[0, 1] * by + start[0, 2]) / z
+            py = (start[1, 0] * bx + start[1, 1] * by + start[1, 2]) / z
             lo_x, hi_x, lo_y, hi_y = min(lo_x, px), max(hi_x, px), min(lo_y, py), max(hi_y, py)
     for r in range(max(0, int(lo_y / block)), min(rows, int(hi_y / block) + 2)):
         for q in range(max(0, int(lo_x / block)), min(cols, int(hi_x / block) + 2)):

@@ -176,7 +176,7 @@ class Refiner:
             add_to_map(planar_map, trace, (self.camera.height, self.camera.width), self.camera.matrix)
         planar_map.freeze_px = c.FREEZE_DISPLACEMENT_PX
         planar_map.settle()
-        planar_map.pyramid()
+        planar_map.prepare(1)
         return planar_map
 
     def append(self, planar_map: PlanarMap, before: Trace, after: Trace, later: Sequence[Trace]) -> list[Trace]:
@@ -231,7 +231,7 @@ class Refiner:
     def _poses(
         self, planar_map: PlanarMap, traces: Sequence[Trace], *, anchored: float = 0.0, first_level: int = 1
     ) -> list[Array]:
-        planar_map.pyramid()
+        planar_map.prepare(first_level)
         with ThreadPoolExecutor(c.CORES) as pool:
             return list(
                 pool.map(partial(self._aligned, planar_map, anchored=anchored, first_level=first_level), traces)

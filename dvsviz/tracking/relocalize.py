@@ -120,7 +120,7 @@ def _candidates(
         turned = cv2.warpAffine(image, rotation, (cols, rows))
         queries.append(np.conj(np.fft.rfft2(turned - turned.mean(), s=size)))
     scores: list[tuple[float, Array]] = []
-    level = planar_map.pyramid()[0]
+    level = planar_map.level(0)
     for T in keyframes:
         view = sample(footprint(planar_map, T, camera, columns=cols), level, 0.0)
         view = view.reshape(-1, cols)[:rows]

@@ -134,7 +134,7 @@ def pack(motion: Motion, mapper: Mapper) -> dict[str, np.ndarray]:
         state["job"] = np.array([mapper.job.count, mapper.job.land_at], dtype=np.int64)
     if mapper.map is not None:
         # Up to date: the density that goes with the votes is a part of the state.
-        mapper.map.pyramid()
+        mapper.map.level(-1)
         state |= {
             "map_votes": mapper.map.votes.copy(),
             "map_exposure": mapper.map.exposure.copy(),

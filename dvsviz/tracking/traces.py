@@ -14,7 +14,7 @@ from dvsviz.contrast.warp import Warp
 from dvsviz.geometry import se3
 from dvsviz.geometry.plane import Plane, homography_map_camera, points_to_map
 from dvsviz.tracking import constants as c
-from dvsviz.tracking.kernels import map_nodes
+from dvsviz.tracking.kernels import map_nodes, reach
 from dvsviz.tracking.planar_map import PlanarMap
 
 Array = NDArray[np.float64]
@@ -157,18 +157,8 @@ def add_to_map(planar_map: PlanarMap, trace: Trace, sensor: tuple[int, int], K: 
     warp = trace.warp(planar_map.plane, np.eye(3))
     uv = warp_points(trace.bearings, trace.t_s, warp)
     # A few events tell how far the view reaches.
-    few = uv[:: max(1, len(uv) // c.COVER_EVENTS)]
-    few = few[np.isfinite(few[:, 0])]
-    if len(few) == 0:
+    low, high = reach(uv, max(1, len(uv) // c.COVER_EVENTS))
+    if np.isnan(low[0]):
         return
-    planar_map.cover(*np.percentile(few, (0.5, 99.5), axis=0))
-    cells = ((uv - planar_map.origin) * planar_map.px_per_unit).astype(np.float32)
-    projection = planar_map.projection
-    planar_map.add(
-        cells,
-        projection @ warp.nodes[0],
-        projection @ warp.nodes[-1],
-        sensor,
-        K,
-        weight=trace.events / max(1, len(trace.bearings)),
-    )
+    planar_map.cover(low, high)
+    planar_map.add(uv, warp.nodes[0], warp.nodes[-1], sensor, K, weight=trace.events / max(1, len(uv)))
