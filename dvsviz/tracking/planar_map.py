@@ -171,7 +171,7 @@ class PlanarMap:
             self.level(number)
 
     def level(self, number: int) -> Image:
-        """Return M blurred by one of `ALIGN_BLURS_PX`, up to date; only for reading. What nobody asks for is not made."""
+        """Return M blurred by one of `ALIGN_BLURS_PX`, up to date, for reading; what is not asked for is not made."""
         if self._is_density_due:
             self.density = occupied_percentile(self.votes, self.exposure, c.EXPOSURE_CELL_PX, 0.9)
             self._is_density_due = False
