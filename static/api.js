@@ -41,6 +41,10 @@ export const sessions = async () => (await call("/api/sessions")).json();
 export const session = async (name, tab) => (await call(`${place(name)}?tab=${tab}`)).json();
 /** Begins an export `{to, start_s, end_s}`; resolves to its id. */
 export const startExport = async (name, wanted) => (await (await post(`${place(name)}/export`, wanted)).json()).id;
+/** The bytes of a finished export. */
+export const exported = async (id) => new Uint8Array(await (await call(exportAddress(id))).arrayBuffer());
+/** The last `export` message of an export, for a page without a websocket. */
+export const exportProgress = async (id) => (await call(`/api/exports/${encodeURIComponent(id)}/progress`)).json();
 export const stopExport = (id) => post(`/api/exports/${encodeURIComponent(id)}/stop`, {});
 export const exportAddress = (id) => `/api/exports/${encodeURIComponent(id)}`;
 /** Sets a bookmark `{window, text}` or takes one away `{delete: number}`; resolves to those there are. */

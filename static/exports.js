@@ -20,6 +20,7 @@ export class Exports {
     this.state = state;
     this.timeline = timeline;
     popover(byId("export-button"), byId("export-menu"), () => this.#sayStretch());
+    state.watch(["session", "window"], () => this.#pointRerun());
     for (const button of document.querySelectorAll("[data-export]")) button.addEventListener("click", () => this.start(button.dataset.export));
     state.watch(["session", "windows"], () => (byId("export-button").disabled = !state.session || !state.windows));
   }
@@ -34,6 +35,15 @@ export class Exports {
   #sayStretch() {
     const { start, end } = this.#stretch();
     setText(byId("export-stretch"), `.webm: ${clockTime(start)} to ${clockTime(end)}, ${this.state.loop ? "the loop" : "as the timeline shows"}`);
+  }
+
+  /** The link to rerun's viewer goes where the playhead is. */
+  #pointRerun() {
+    const { session, window } = this.state;
+    const link = byId("export-rerun");
+    if (!session) return void link.removeAttribute("href");
+    link.href = `/rerun/?session=${encodeURIComponent(session)}&window=${window}`;
+    setText(byId("export-rerun-window"), `at window ${window}, in a tab of its own`);
   }
 
   async start(to) {

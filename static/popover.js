@@ -27,7 +27,7 @@ export function popover(button, menu, opened = () => {}) {
     if (!move || event.target.matches("select")) return;
     event.preventDefault();
     event.stopPropagation();
-    const stops = [...menu.querySelectorAll("input:not(:disabled), button:not(:disabled), select")];
+    const stops = [...menu.querySelectorAll("input:not(:disabled), button:not(:disabled), a[href], select")];
     stops[(stops.indexOf(document.activeElement) + move + stops.length) % stops.length]?.focus();
   });
   return show;

@@ -342,3 +342,32 @@ def test_the_scene_is_joined_with_viser_and_closed_to_others(dashboard: Dashboar
             around.recv(timeout=10)
         assert closed.value.rcvd is not None
         assert closed.value.rcvd.code == 1008
+
+
+def test_an_export_says_how_far_it_is_and_the_same_one_is_made_once(page: Page) -> None:
+    def number() -> str:
+        body = {"to": "rrd", "reuse": True}
+        return page.http.post("/api/sessions/orphan/export", json=body).raise_for_status().json()["id"]
+
+    first, until = number(), time.monotonic() + 30
+    while not (told := page.http.get(f"/api/exports/{first}/progress").json())["done"]:
+        assert not told["error"]
+        assert time.monotonic() < until
+        time.sleep(0.05)
+    assert told["share"] == 1.0
+    assert page.http.get(f"/api/exports/{first}").content.startswith(b"RRF")
+    assert number() == first
+    page.http.post("/api/sessions/orphan/bookmarks", json={"window": 3, "text": "changed"}).raise_for_status()
+    assert number() != first, "the file is another one now"
+    assert page.http.get("/api/exports/none/progress").status_code == 404
+
+
+def test_reruns_viewer_is_the_installed_one_and_may_reach_this_server_only(page: Page) -> None:
+    answer = page.http.get("/rerun/")
+    assert "connect-src 'self';" in answer.headers["Content-Security-Policy"]
+    assert 'src="/rerun/re_viewer.js"' in answer.text
+    program = page.http.get("/rerun/re_viewer_bg.wasm")
+    assert program.headers["Content-Type"] == "application/wasm"
+    assert program.content.startswith(b"\0asm")
+    assert "wasm_bindgen" in page.http.get("/rerun/re_viewer.js").text
+    assert page.http.get("/rerun/secret.js").status_code == 404

@@ -41,7 +41,9 @@ def anonymous(address: str, **headers: str) -> httpx.Client:
     return httpx.Client(base_url=base_and_token(address)[0], headers=headers, trust_env=False)
 
 
-@pytest.mark.parametrize("path", ["/api/sessions", "/api/sessions/s", "/api/sessions/s/columns", "/api/exports/1"])
+@pytest.mark.parametrize(
+    "path", ["/api/sessions", "/api/sessions/s", "/api/sessions/s/columns", "/api/exports/1", "/rerun/"]
+)
 def test_nothing_is_told_without_the_cookie(address: str, path: str) -> None:
     with anonymous(address) as stranger:
         assert stranger.get(path).status_code == 403

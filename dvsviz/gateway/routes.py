@@ -26,6 +26,7 @@ from dvsviz.gateway.library import Library, bookmarks_of
 from dvsviz.gateway.manage import Manager
 from dvsviz.gateway.messages import pack_columns
 from dvsviz.gateway.proxy import SceneProxy
+from dvsviz.gateway.rerun import RerunPage
 from dvsviz.gateway.runs import Runs
 from dvsviz.gateway.security import Guard, Keys
 from dvsviz.gateway.tabs import TAKEN, Tabs
@@ -60,6 +61,7 @@ class Routes:
         self._manager = manager
         self._occupied = OccupiedPixels()
         self._proxy = SceneProxy()
+        self._rerun = RerunPage(static, exports)
 
     def app(self, host: str) -> ASGIApp:
         """Return the whole application, guarded.
@@ -76,6 +78,7 @@ class Routes:
             "/api/sessions/{name}/export": (self.export, "POST"),
             "/api/sessions/{name}/bookmarks": (self.bookmarks, "POST"),
             "/api/exports/{number}": (self.exported, "GET"),
+            "/api/exports/{number}/progress": (self.export_progress, "GET"),
             "/api/exports/{number}/stop": (self.stop_export, "POST"),
             "/api/sessions/{name}/change": (self.change, "POST"),
             "/api/sessions/{name}/branch": (self.branch, "POST"),
@@ -93,6 +96,8 @@ class Routes:
             # viser's client leaves out the slash at the end.
             WebSocketRoute("/viser/{tab}", self.scene_socket),
             Route("/viser/{tab}/{path:path}", _answered(self.scene)),
+            Route("/rerun/", self._rerun.page),
+            Route("/rerun/{name}", _answered(self._rerun.program)),
             Mount("/static", StaticFiles(directory=self._static)),
         ]
         return Guard(Starlette(routes=routes, lifespan=self._lifespan), self._keys, host)
@@ -158,6 +163,8 @@ class Routes:
         if body.get("to") not in tuple(Kind):
             raise ValueError(f"to: expected one of {', '.join(Kind)}")
         kind, part = Kind(body["to"]), wishes.part_from(body)
+        if body.get("reuse") and (number := self._exports.same(shown, kind)):
+            return JSONResponse({"id": number})
 
         def tell(message: dict[str, Any]) -> None:
             for tab in self._tabs.all():
@@ -185,6 +192,10 @@ class Routes:
         if export is None:
             raise KeyError("there is no such export; make it again")
         return FileResponse(export.path, filename=export.name, media_type="application/octet-stream")
+
+    async def export_progress(self, request: Request) -> Response:
+        """Return how far an export is: the last `export` message."""
+        return JSONResponse(self._exports.told(request.path_params["number"]))
 
     async def stop_export(self, request: Request) -> Response:
         """Stop an export."""

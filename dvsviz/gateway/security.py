@@ -33,6 +33,12 @@ SCENE_POLICY = (
     "worker-src 'self' blob: data:; img-src 'self' blob: data:; font-src 'self' data:; connect-src 'self' blob: data:; "
     "form-action 'none'; base-uri 'none'; frame-ancestors 'self'"
 )
+# rerun's viewer is WebAssembly; whatever it would report to its makers is refused with all other foreign addresses.
+RERUN_POLICY = (
+    "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self' 'unsafe-inline'; "
+    "worker-src 'self' blob:; img-src 'self' blob: data:; font-src 'self' data:; connect-src 'self'; "
+    "form-action 'none'; base-uri 'none'; frame-ancestors 'none'"
+)
 _MAX_BODY = 64 * 1024
 _OPEN_PATHS = ("/", "/favicon.ico", "/api/login")
 _OPEN_FOLDER = "/static/"
@@ -135,11 +141,12 @@ class Guard:
 
 def _with_headers(send: Send, path: str) -> Send:
     is_scene = path.startswith("/viser/")
+    policy = SCENE_POLICY if is_scene else RERUN_POLICY if path.startswith("/rerun/") else PAGE_POLICY
 
     async def send_with_headers(message: Message) -> None:
         if message["type"] == "http.response.start":
             headers = MutableHeaders(scope=message)
-            headers["Content-Security-Policy"] = SCENE_POLICY if is_scene else PAGE_POLICY
+            headers["Content-Security-Policy"] = policy
             headers["X-Content-Type-Options"] = "nosniff"
             headers["Referrer-Policy"] = "no-referrer"
             headers["Cross-Origin-Opener-Policy"] = "same-origin"

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 import re
+import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -129,6 +131,59 @@ def test_the_command_that_opens_rerun_is_there_to_copy(dashboard: Dashboard, tmp
         "it is copied",
     )
     assert not dashboard.problems
+
+
+def test_a_click_opens_reruns_viewer_at_the_window_of_the_page(dashboard_with_scene: Dashboard) -> None:
+    """The real viewer of the installed rerun; drawn in software and small, or it takes half a minute."""
+    page = dashboard_with_scene.page
+    dashboard_with_scene.enter("gone", 41)
+    dashboard_with_scene.press("e")
+    link = page.locator("#export-rerun")
+    expect(link).to_contain_text("at window 41")
+    with page.expect_popup() as opening:
+        link.click()
+    viewer = opening.value
+    loaded: list[str] = []
+    viewer.on("requestfinished", lambda request: loaded.append(request.url))
+    viewer.set_viewport_size({"width": 320, "height": 240})
+    page.close()
+    end = time.monotonic() + 90
+    while not viewer.evaluate("Boolean(window.rerun)"):
+        said = viewer.locator("#stage").inner_text() if viewer.locator(".failed").count() else "nothing"
+        assert time.monotonic() < end and said == "nothing", f"the viewer said {said}"
+        viewer.wait_for_timeout(200)
+    state = _fields(bytes(viewer.evaluate("Array.from(window.rerun.viewer_state())")))
+    recording = _fields(state[3][0])
+    cursor = _fields(recording[3][0])
+    assert _fields(cursor[1][0])[1] == [b"window"]
+    assert _fields(cursor[3][0])[1] == [41]
+    assert recording[5] == [1], "it is paused there"
+    assert viewer.title() == "gone · window 41 · rerun"
+    assert not [a for a in loaded if not a.startswith((dashboard_with_scene.base, "blob:", "data:"))]
+
+
+def _fields(message: Any) -> dict[int, list[Any]]:
+    """Return the fields of a protocol buffer by number: of rerun's `GetStateResponse` and of what it holds."""
+    found: dict[int, list[Any]] = {}
+    at = 0
+
+    def number() -> int:
+        nonlocal at
+        value, shift = 0, 0
+        while True:
+            byte, at = message[at], at + 1
+            value |= (byte & 127) << shift
+            shift += 7
+            if byte < 128:
+                return value
+
+    while at < len(message):
+        key = number()
+        value: Any = number()
+        if key & 7 == 2:
+            at, value = at + value, message[at : at + value]
+        found.setdefault(key >> 3, []).append(value)
+    return found
 
 
 def _bytes(png: bytes) -> np.ndarray:
