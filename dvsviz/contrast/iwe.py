@@ -19,11 +19,11 @@ def sample_window(window: EventWindow, most: int, seed: int) -> tuple[NDArray[np
 
     The choice depends on the seed and the window's number alone, so that it can be made again.
     """
-    t_s = window.t_s
     if len(window) <= most:
-        return window.bearings, t_s
+        return window.bearings, window.t_s
     pick = sample_indices(window, most, seed)
-    return window.bearings[pick], t_s[pick]
+    t_s = np.asarray((window.events.t_us[pick] - window.start_us) * 1e-6, dtype=np.float64)
+    return window.bearings[pick], t_s
 
 
 def sample_indices(window: EventWindow, most: int, seed: int) -> NDArray[np.int64]:

@@ -6,6 +6,7 @@ this maximises the cross term of the joint variance of map and window (tracking 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numba
@@ -127,6 +128,63 @@ def align(
     )
 
 
+def align_each(
+    planar_map: PlanarMap,
+    bearings: Sequence[NDArray[np.float32]],
+    t_s: Sequence[Array],
+    Ts_world_camera: Array,
+    omega: Array,
+    velocity: Array,
+    *,
+    focal_px: float,
+    free: NDArray[np.bool_],
+    anchored: float = 0.0,
+    first_level: int = 0,
+) -> Array:
+    """Return the poses (N, 4, 4) of N windows, each aligned as by `align`; one without events keeps its pose.
+
+    Args:
+        planar_map: the map.
+        bearings: sampled events (M, 2) of each window.
+        t_s: their times (M,) relative to its pose.
+        Ts_world_camera: predicted poses (N, 4, 4).
+        omega: angular velocities (N, 3), held.
+        velocity: linear velocities (N, 3), held.
+        focal_px: as in `align`.
+        free: as in `align`.
+        anchored: as in `align`.
+        first_level: as in `align`.
+    """
+    plane = planar_map.plane
+    Ts = Ts_world_camera.copy()
+    _descend_each(
+        # Three images of one kind, whichever are used: one compiled kernel.
+        tuple(planar_map.level(max(i, first_level)) for i in range(len(c.ALIGN_BLURS_PX))),
+        np.array(c.ALIGN_ITERATIONS),
+        first_level,
+        np.concatenate(bearings),
+        np.concatenate(t_s),
+        np.cumsum([0, *map(len, bearings)]),
+        Ts,
+        omega,
+        velocity,
+        plane.normal,
+        plane.distance,
+        planar_map.projection @ points_to_map(plane),
+        free,
+        default_prior(),
+        anchored,
+        focal_px,
+    )
+    return Ts
+
+
+def thinned(count: int) -> NDArray[np.int64]:
+    """Return which (M,) of `count` events are aligned: at most `ALIGN_EVENTS`, evenly spread."""
+    most = min(count, c.ALIGN_EVENTS)
+    return (np.arange(most) * (count / max(1, most))).astype(np.int64)
+
+
 def default_prior() -> Array:
     """Return the information (6, 6) of a constant-velocity prediction."""
     return np.diag([c.PRIOR_ROTATION_RAD**-2] * 3 + [c.PRIOR_POSITION**-2] * 3)
@@ -203,3 +261,56 @@ def _descend(
     count = rays.shape[0]
     value = total / inside if inside > 0 else 0.0
     return value, inside / count, taken, step_px
+
+
+@numba.njit(cache=True, nogil=True)
+def _descend_each(
+    images,
+    limits,
+    first_level,
+    bearings,
+    t_s,
+    first,
+    Ts,
+    omega,
+    velocity,
+    normal,
+    distance,
+    target,
+    free,
+    prior,
+    anchored,
+    focal_px,
+):
+    """Descend with each window (its events from `first[k]` on), level by level, moving its pose (4, 4) in place."""
+    information = np.zeros((6, 6))
+    for k in range(Ts.shape[0]):
+        a, b = first[k], first[k + 1]
+        if a == b:
+            continue
+        rays = np.empty((b - a, 3))
+        turned(bearings[a:b], t_s[a:b], omega[k], rays)
+        R, p = Ts[k, :3, :3].copy(), Ts[k, :3, 3].copy()
+        R0, p0 = R.copy(), p.copy()
+        for i in range(first_level, len(images)):
+            _descend(
+                images[i],
+                rays,
+                t_s[a:b],
+                R,
+                p,
+                R0,
+                p0,
+                velocity[k],
+                normal,
+                distance,
+                target,
+                free,
+                prior,
+                anchored,
+                limits[i],
+                focal_px,
+                information,
+            )
+        Ts[k, :3, :3] = R
+        Ts[k, :3, 3] = p

@@ -19,7 +19,7 @@ from dvsviz.geometry.plane import Plane
 from dvsviz.session.records import Status
 from dvsviz.tracking import constants as c
 from dvsviz.tracking import diagnose
-from dvsviz.tracking.align import Alignment, align
+from dvsviz.tracking.align import Alignment, align, thinned
 from dvsviz.tracking.bootstrap import motion_by_contrast
 from dvsviz.tracking.by_contrast import follow_by_contrast
 from dvsviz.tracking.failures import FailureWatch
@@ -196,8 +196,7 @@ class PoseFinder:
     ) -> Alignment:
         bearings, t_s = sampled
         if len(bearings) > c.ALIGN_EVENTS:
-            step = len(bearings) / c.ALIGN_EVENTS
-            pick = (np.arange(c.ALIGN_EVENTS) * step).astype(np.int64)
+            pick = thinned(len(bearings))
             bearings, t_s = bearings[pick], t_s[pick]
         return align(
             self.mapper.live_map,

@@ -22,7 +22,7 @@ from dvsviz.tracking import constants as c
 from dvsviz.tracking.panorama import Panorama, loop_error, nearest, spread
 from dvsviz.tracking.planar_map import PlanarMap
 from dvsviz.tracking.refining import Refiner, Revised
-from dvsviz.tracking.traces import Trace, add_to_map, correct
+from dvsviz.tracking.traces import Trace, add_to_map, correct, window_poses
 
 Array = NDArray[np.float64]
 Sampled = tuple[NDArray[np.float32], Array]
@@ -159,7 +159,7 @@ class Mapper:
             )
         if error is not None:
             self.traces = correct(self.traces, spread(self.traces, first, error))
-            self.tell_refined([(t.window, t.T_world_start) for t in self.traces])
+            self.tell_refined(window_poses(self.traces))
             self.closed_loops += 1
             self.tried_at = 0
             self.log(
@@ -225,17 +225,28 @@ class Mapper:
         return number
 
     def _is_keyframe(self, trace: Trace, overlap: float) -> bool:
-        anchors = [t for t in self.traces if t.keyframe >= 0]
+        count = len(self.keyframes)
+        anchors = self._last_keyframes(c.KEYFRAME_COMPARE)
         if not anchors:
             return True
         since_s = (trace.mid_us - anchors[-1].mid_us) * 1e-6
         # The first keyframes lie close together: the first refinements repair the start.
-        grown = min(1.0, len(anchors) / c.KEYFRAME_SETTLED)
+        grown = min(1.0, count / c.KEYFRAME_SETTLED)
         if since_s >= c.KEYFRAME_SECONDS * max(grown, 0.2):
             return True
         limit = c.KEYFRAME_DISPLACEMENT * self.camera.width * max(grown, 0.2)
-        moved = float(self._view_changes_px(trace, anchors[-c.KEYFRAME_COMPARE :]).min())
+        moved = float(self._view_changes_px(trace, anchors).min())
         return moved > limit or (overlap < c.OVERLAP_KEYFRAME and moved > 0.3 * limit)
+
+    def _last_keyframes(self, most: int) -> list[Trace]:
+        """Return the traces of the last keyframes, in order."""
+        found: list[Trace] = []
+        for trace in reversed(self.traces):
+            if len(found) == min(most, len(self.keyframes)):
+                break
+            if trace.keyframe >= 0:
+                found.append(trace)
+        return found[::-1]
 
     def _view_changes_px(self, trace: Trace, others: list[Trace]) -> Array:
         """Return about how far (px) the image moved between a view and each of others (N,)."""
@@ -317,7 +328,7 @@ class Mapper:
     def _take_over(self, revised: Revised, traces: list[Trace]) -> None:
         self.traces, self.plane, self.map = traces, revised.plane, revised.planar_map
         self.refinements += 1
-        self.tell_refined([(t.window, t.T_world_start) for t in self.traces])
+        self.tell_refined(window_poses(self.traces))
 
     def finish(self, *, refine: bool) -> None:
         """Refine once more with everything that was seen (if asked), and publish the last map."""

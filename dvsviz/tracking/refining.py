@@ -18,13 +18,16 @@ from dvsviz.geometry import se3
 from dvsviz.geometry.camera import Camera
 from dvsviz.geometry.plane import Plane
 from dvsviz.tracking import constants as c
-from dvsviz.tracking.align import align
+from dvsviz.tracking.align import align_each, thinned
 from dvsviz.tracking.panorama import is_full, nearest, turned_away
 from dvsviz.tracking.planar_map import PlanarMap
 from dvsviz.tracking.refine import View, refine
 from dvsviz.tracking.traces import HELD, Trace, add_to_map, correct, with_poses
 
 Array = NDArray[np.float64]
+
+# Windows that a thread puts back on the map in one call.
+_TOGETHER = 32
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -124,17 +127,16 @@ class Refiner:
     ) -> tuple[PlanarMap, list[Trace]]:
         """Return the map (on the plane of the last window) and the traces put back, each on that of its own plane."""
         number = [nearest(planes, t.T_world_camera) for t in traces]
-        poses: dict[int, Array] = {}
+        poses = np.empty((len(traces), 4, 4))
         last: PlanarMap | None = None
         for k in dict.fromkeys([*number, number[-1]][::-1]):
             planar_map = self.build(traces, planes[k])
             last = planar_map if last is None else last
             its = [i for i, n in enumerate(number) if n == k]
-            found = self._poses(planar_map, [traces[i] for i in its], first_level=first_level)
-            poses |= dict(zip(its, found, strict=True))
+            poses[its] = self._poses(planar_map, [traces[i] for i in its], first_level=first_level)
         if last is None:
             raise ValueError("traces: expected at least one")
-        return last, with_poses(traces, [poses[i] for i in range(len(traces))])
+        return last, with_poses(traces, poses)
 
     def settle(self, traces: Sequence[Trace], plane: Plane) -> Revised:
         """Return every window put back on the map of all, pulled to the first pose, again and again.
@@ -197,30 +199,11 @@ class Refiner:
             # Round the corner of a panorama there is nothing of this face to align with.
             near = not self.is_panorama or turned_away(planar_map.plane, [moved])[0] < c.FACE_APART_RAD
             if near:
-                moved = replace(moved, T_world_camera=self._aligned(planar_map, moved))
+                moved = replace(moved, T_world_camera=self._aligned(planar_map, [moved])[0])
             poses.append(moved.T_world_camera)
             if moved.is_trusted and near:
                 add_to_map(planar_map, moved, sensor, self.camera.matrix)
-        return with_poses(later, poses)
-
-    def _aligned(
-        self, planar_map: PlanarMap, trace: Trace, *, anchored: float = 0.0, first_level: int = 1
-    ) -> Array:
-        if trace.keyframe == HELD:
-            return trace.T_world_camera
-        step = max(1, len(trace.bearings) // c.ALIGN_EVENTS)
-        return align(
-            planar_map,
-            np.ascontiguousarray(trace.bearings[::step]),
-            np.ascontiguousarray(trace.t_s[::step]) - trace.mid_s,
-            trace.T_world_camera,
-            trace.omega,
-            trace.velocity,
-            focal_px=self.camera.focal_px,
-            free=self.free,
-            first_level=first_level,
-            anchored=anchored,
-        ).T_world_camera
+        return with_poses(later, np.array(poses).reshape(-1, 4, 4))
 
     def put_back(
         self, planar_map: PlanarMap, traces: Sequence[Trace], *, anchored: float = 0.0, first_level: int = 1
@@ -230,9 +213,27 @@ class Refiner:
 
     def _poses(
         self, planar_map: PlanarMap, traces: Sequence[Trace], *, anchored: float = 0.0, first_level: int = 1
-    ) -> list[Array]:
+    ) -> Array:
+        """Return the poses (N, 4, 4) of traces aligned with a map; those that said nothing stay."""
         planar_map.prepare(first_level)
+        some = [traces[i : i + _TOGETHER] for i in range(0, len(traces), _TOGETHER)]
         with ThreadPoolExecutor(c.CORES) as pool:
-            return list(
-                pool.map(partial(self._aligned, planar_map, anchored=anchored, first_level=first_level), traces)
-            )
+            found = pool.map(partial(self._aligned, planar_map, anchored=anchored, first_level=first_level), some)
+            return np.concatenate([np.zeros((0, 4, 4)), *found])
+
+    def _aligned(
+        self, planar_map: PlanarMap, traces: Sequence[Trace], *, anchored: float = 0.0, first_level: int = 1
+    ) -> Array:
+        picks = [np.zeros(0, dtype=np.int64) if t.keyframe == HELD else thinned(len(t.bearings)) for t in traces]
+        return align_each(
+            planar_map,
+            [t.bearings[pick] for t, pick in zip(traces, picks, strict=True)],
+            [t.t_s[pick] - t.mid_s for t, pick in zip(traces, picks, strict=True)],
+            np.stack([t.T_world_camera for t in traces]),
+            np.stack([t.omega for t in traces]),
+            np.stack([t.velocity for t in traces]),
+            focal_px=self.camera.focal_px,
+            free=self.free,
+            first_level=first_level,
+            anchored=anchored,
+        )

@@ -122,27 +122,43 @@ def correct(traces: Sequence[Trace], keyframe_poses: dict[int, Array]) -> list[T
     else:
         R = np.repeat(C[:, :3, :3], len(traces), axis=0)
     d = np.stack([np.interp(inside, s, shift[:, i]) for i in range(3)], axis=-1)
-    poses = [
-        se3.pose(R[i] @ t.T_world_camera[:3, :3], t.T_world_camera[:3, 3] + d[i]) for i, t in enumerate(traces)
-    ]
-    return with_poses(traces, poses)
+    Ts = np.stack([t.T_world_camera for t in traces])
+    return with_poses(traces, se3.pose(R @ Ts[:, :3, :3], Ts[:, :3, 3] + d))
 
 
-def with_poses(traces: Sequence[Trace], poses: Sequence[Array]) -> list[Trace]:
-    """Return the traces with new poses at their middles, their velocities by central differences."""
-    out: list[Trace] = []
+def with_poses(traces: Sequence[Trace], Ts_world_camera: Array) -> list[Trace]:
+    """Return the traces with new poses (N, 4, 4) at their middles, their velocities by central differences."""
+    if not traces:
+        return []
     n = len(traces)
-    for i, trace in enumerate(traces):
-        omega, velocity = trace.omega, trace.velocity
-        a, b = max(0, i - 1), min(n - 1, i + 1)
-        dt = (traces[b].mid_us - traces[a].mid_us) * 1e-6
-        # Over a gap the difference is no velocity: keep what was tracked.
-        if b > a and 0 < dt < 0.4:
-            R = poses[i][:3, :3]
-            omega = se3.log_so3(poses[a][:3, :3].T @ poses[b][:3, :3]) / dt
-            velocity = R.T @ (poses[b][:3, 3] - poses[a][:3, 3]) / dt
-        out.append(replace(trace, T_world_camera=poses[i], omega=omega, velocity=velocity))
-    return out
+    a, b = np.maximum(np.arange(n) - 1, 0), np.minimum(np.arange(n) + 1, n - 1)
+    mid_us = np.array([t.mid_us for t in traces])
+    dt = (mid_us[b] - mid_us[a]) * 1e-6
+    # Over a gap the difference is no velocity: what was tracked is kept.
+    known = (dt > 0) & (dt < 0.4)
+    by_dt = 1.0 / np.where(known, dt, 1.0)[:, None]
+    R, p = Ts_world_camera[:, :3, :3], Ts_world_camera[:, :3, 3]
+    omega = se3.log_so3(np.swapaxes(R[a], 1, 2) @ R[b]) * by_dt
+    velocity = np.einsum("kji,kj->ki", R, p[b] - p[a]) * by_dt
+    return [
+        replace(t, T_world_camera=Ts_world_camera[i], omega=omega[i], velocity=velocity[i])
+        if known[i]
+        else replace(t, T_world_camera=Ts_world_camera[i])
+        for i, t in enumerate(traces)
+    ]
+
+
+def window_poses(traces: Sequence[Trace]) -> list[tuple[int, Array]]:
+    """Return each trace's window and `T_world_start` (4, 4)."""
+    if not traces:
+        return []
+    Ts = np.stack([t.T_world_camera for t in traces])
+    back = -np.array([t.mid_s for t in traces])[:, None]
+    R = Ts[:, :3, :3]
+    turned = R @ se3.exp_so3(back * np.stack([t.omega for t in traces]))
+    moved = np.einsum("kij,kj->ki", R, np.stack([t.velocity for t in traces])) * back
+    poses = se3.pose(turned, Ts[:, :3, 3] + moved)
+    return [(t.window, T) for t, T in zip(traces, poses, strict=True)]
 
 
 def add_to_map(planar_map: PlanarMap, trace: Trace, sensor: tuple[int, int], K: Array) -> None:
