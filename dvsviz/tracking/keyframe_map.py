@@ -7,6 +7,7 @@ too little of the candidate, its pose was off: the map goes on without it, and t
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -64,6 +65,9 @@ class KeyframeMapper(Mapper):
         name: the objective.
         seed: of the dither.
     """
+
+    # It also judges the last candidate.
+    _may_drop = False
 
     def __init__(
         self,
@@ -132,6 +136,7 @@ class JointRefiner(Refiner):
         first: bool,
         passes: int = 1,
         faces: Sequence[Plane] = (),
+        dropped: threading.Event | None = None,
     ) -> Revised:
         """Return what takes the place of the traces and the map: 12 k - 4 parameters found together.
 
@@ -141,6 +146,7 @@ class JointRefiner(Refiner):
             first: not used: the map is made anew in any case.
             passes: more than 1 at the recording's end, where there is no candidate.
             faces: not used: this mode keeps to one plane.
+            dropped: not used: what is found of the candidate is always wanted.
         """
         anchors = [t for t in traces if _is_anchor(t)]
         if len(anchors) > c.JOINT_MAX_VIEWS:

@@ -6,6 +6,7 @@ all three together.
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -36,11 +37,13 @@ class Job:
         count: how many traces it was given.
         land_at: window at which it is merged.
         future: its result.
+        dropped: set where nobody wants it any more.
     """
 
     count: int
     land_at: int
     future: Future[Revised]
+    dropped: threading.Event
 
 
 class Mapper:
@@ -53,6 +56,9 @@ class Mapper:
         solve_normal: refine the plane's normal too.
         is_panorama: the camera only turns: the map has as many planes as its view needs.
     """
+
+    # Whether a refinement that the last one goes beyond may be left undone.
+    _may_drop = True
 
     def __init__(
         self,
@@ -286,6 +292,7 @@ class Mapper:
 
     def begin_refinement(self, count: int, land_at: int) -> None:
         """Start a refinement of the first `count` traces that is merged at window `land_at`."""
+        dropped = threading.Event()
         pool = ThreadPoolExecutor(1, thread_name_prefix="refinement")
         future = pool.submit(
             self._refiner.revise,
@@ -293,9 +300,10 @@ class Mapper:
             self.plane,
             first=self.refinements == 0,
             faces=() if self.panorama is None else self.panorama.known_at(count),
+            dropped=dropped,
         )
         pool.shutdown(wait=False)
-        self.job = Job(count=count, land_at=land_at, future=future)
+        self.job = Job(count=count, land_at=land_at, future=future, dropped=dropped)
 
     def _due(self) -> bool:
         """Return whether enough keyframes were added for the next refinement."""
@@ -334,10 +342,16 @@ class Mapper:
         """Refine once more with everything that was seen (if asked), and publish the last map."""
         if self.map is None or not self.traces:
             return
-        if self.job is not None:
+        everything = refine and len(self.keyframes) >= c.REFINE_AT[0] and self._is_spread
+        if self.job is not None and everything and self._may_drop:
+            # The last refinement does what this one does, with more.
+            self.job.dropped.set()
+            self.job.future.result()
+            self.job = None
+        elif self.job is not None:
             self._merge(self.job)
         if refine:
-            if len(self.keyframes) >= c.REFINE_AT[0] and self._is_spread:
+            if everything:
                 faces = () if self.panorama is None else tuple(self.panorama.faces)
                 revised = self._refiner.revise(
                     self.traces, self.plane, first=self.refinements == 0, passes=2, faces=faces

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -54,17 +55,8 @@ class MotionFilter:
 
     def predict(self, dt: float) -> Array:
         """Move the uncertainty on by `dt` seconds; return the information (6, 6) of the predicted pose."""
-        P, q = self.covariance, np.repeat(self.density, 3) * self.free
-        F = np.eye(12)
-        F[:6, 6:] = dt * np.eye(6)
-        P = F @ P @ F.T
-        i = np.arange(6)
-        P[i, i] += q * dt**3 / 3 + self.free * c.FILTER_POSE_FLOOR**2
-        P[i, i + 6] += q * dt**2 / 2
-        P[i + 6, i] += q * dt**2 / 2
-        P[i + 6, i + 6] += q * dt
-        self.covariance = P
-        return np.asarray(np.linalg.inv(P[:6, :6]), dtype=np.float64)
+        self.covariance, information = _predicted(self.covariance, self.density, self.free, dt)
+        return information
 
     def correct(self, moved: Array, information: Array, dt: float) -> Array:
         """Take in an aligned window; return by how much (6,) the velocities change.
@@ -74,30 +66,58 @@ class MotionFilter:
             information: (6, 6) of the window about its pose, without the prediction.
             dt: seconds since the last window.
         """
-        P = self.covariance
-        pose, cross = P[:6, :6], P[6:, :6]
-        inverse = np.linalg.inv(pose)
-        information = information * np.outer(self.free, self.free)
-        after = np.linalg.inv(inverse + information / c.FILTER_CORRELATED)
-        by_pose = cross @ inverse
-        change = by_pose @ moved
-        # What the window should have moved the pose by, on average, against what it did.
-        expected = pose - after
-        for k in range(2):
-            block = slice(3 * k, 3 * k + 3)
-            weight = np.linalg.inv(pose[block, block])
-            told = float(np.trace(expected[block, block] @ weight))
-            if told > c.FILTER_TOLD:
-                ratio = float(moved[block] @ weight @ moved[block]) / told
-                step = np.clip(c.FILTER_ADAPT * told * np.log(max(ratio, 1e-3)), -0.5, 1.0)
-                self.density[k] = np.clip(self.density[k] * np.exp(step), *c.FILTER_DENSITY)
-        P = np.empty_like(P)
-        P[:6, :6] = after
-        P[6:, :6] = by_pose @ after
-        P[:6, 6:] = P[6:, :6].T
-        P[6:, 6:] = self.covariance[6:, 6:] - by_pose @ expected @ by_pose.T
-        self.covariance = 0.5 * (P + P.T)
-        return np.asarray(change, dtype=np.float64)
+        self.covariance, self.density, change = _corrected(
+            self.covariance, self.density, self.free, moved, information
+        )
+        return change
+
+
+@numba.njit(cache=True, nogil=True)
+def _predicted(P, density, free, dt):
+    """Return the covariance (12, 12) after `dt` seconds and the information (6, 6) of the predicted pose."""
+    F = np.eye(12)
+    for i in range(6):
+        F[i, i + 6] = dt
+    P = F @ P @ F.T
+    for i in range(6):
+        q = density[i // 3] if free[i] else 0.0
+        P[i, i] += q * dt**3 / 3 + (c.FILTER_POSE_FLOOR**2 if free[i] else 0.0)
+        P[i, i + 6] += q * dt**2 / 2
+        P[i + 6, i] += q * dt**2 / 2
+        P[i + 6, i + 6] += q * dt
+    return P, np.linalg.inv(np.ascontiguousarray(P[:6, :6]))
+
+
+@numba.njit(cache=True, nogil=True)
+def _corrected(P, density, free, moved, information):
+    """Return covariance (12, 12), density (2,) and change of the velocities (6,) after an aligned window."""
+    pose, cross = np.ascontiguousarray(P[:6, :6]), np.ascontiguousarray(P[6:, :6])
+    inverse = np.linalg.inv(pose)
+    told = np.zeros((6, 6))
+    for i in range(6):
+        for j in range(6):
+            if free[i] and free[j]:
+                told[i, j] = information[i, j] / c.FILTER_CORRELATED
+    after = np.linalg.inv(inverse + told)
+    by_pose = cross @ inverse
+    # What the window should have moved the pose by, on average, against what it did.
+    expected = pose - after
+    density = density.copy()
+    for k in range(2):
+        block = slice(3 * k, 3 * k + 3)
+        weight = np.linalg.inv(np.ascontiguousarray(pose[block, block]))
+        share = np.trace(np.ascontiguousarray(expected[block, block]) @ weight)
+        if share > c.FILTER_TOLD:
+            m = np.ascontiguousarray(moved[block])
+            ratio = (m @ weight @ m) / share
+            step = min(max(c.FILTER_ADAPT * share * np.log(max(ratio, 1e-3)), -0.5), 1.0)
+            density[k] = min(max(density[k] * np.exp(step), c.FILTER_DENSITY[0]), c.FILTER_DENSITY[1])
+    out = np.empty_like(P)
+    out[:6, :6] = after
+    out[6:, :6] = by_pose @ after
+    out[:6, 6:] = out[6:, :6].T
+    out[6:, 6:] = P[6:, 6:] - by_pose @ expected @ by_pose.T
+    return 0.5 * (out + out.T), density, by_pose @ moved
 
 
 def difference(T_before: Array, T_after: Array) -> Array:

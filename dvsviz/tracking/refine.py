@@ -8,7 +8,7 @@ normal are solved together. Gauge: the first keyframe's pose and the plane's dis
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -81,6 +81,7 @@ def refine(
     held: int = 1,
     rounds: int = c.REFINE_ROUNDS,
     faces: Sequence[Plane] = (),
+    stop: Callable[[], bool] | None = None,
 ) -> Refinement:
     """Return the poses of the views and the plane that bring the views' edges together.
 
@@ -94,6 +95,7 @@ def refine(
         rounds: association and solving, repeated.
         faces: of a panorama: the planes on which edges are looked for instead, all poses solved together; the normal is
             then not refined.
+        stop: asked before each round: no more rounds where it is true.
     """
     Ts = np.stack([v.T_world_camera for v in views])
     train = [np.ascontiguousarray(v.bearings[0::2]) for v in views]
@@ -104,6 +106,8 @@ def refine(
     gates = np.geomspace(c.REFINE_GATE_START_PX, c.REFINE_GATE_END_PX, 4)
     residual, landmarks, done = float("nan"), 0, 0
     for i in range(rounds):
+        if stop is not None and stop():
+            break
         gate = float(gates[min(i, 3)])
         step = _round(train, Ts, plane, start, px_per_unit, gate, free, solve_normal, held, faces)
         if step is None:

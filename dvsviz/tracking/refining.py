@@ -6,6 +6,7 @@ beside the tracker. What it costs is the tracker's time only where it has to be 
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -73,6 +74,7 @@ class Refiner:
         first: bool,
         passes: int = 1,
         faces: Sequence[Plane] = (),
+        dropped: threading.Event | None = None,
     ) -> Revised:
         """Return what takes the place of the traces and the map.
 
@@ -82,6 +84,7 @@ class Refiner:
             first: also make the map anew where the refinement is refused: the first one was written while drifting.
             passes: how often every window is put back on the map, which is made anew each time.
             faces: the planes of a panorama, in place of the one plane.
+            dropped: set where the result is not wanted any more: then nothing is revised.
         """
         anchors = [t for t in traces if t.keyframe >= 0]
         if len(anchors) > c.REFINE_MAX_VIEWS:
@@ -103,7 +106,10 @@ class Refiner:
             solve_normal=self.solve_normal,
             rounds=c.REFINE_ROUNDS if passes > 1 or len(views) <= c.REFINE_EARLY else c.REFINE_ROUNDS_LATER,
             faces=faces if len(faces) > 1 else (),
+            stop=dropped.is_set if dropped is not None else None,
         )
+        if dropped is not None and dropped.is_set():
+            return Revised(traces=tuple(traces), plane=plane, planar_map=None, text="dropped", accepted=False)
         text = (
             f"refinement of {len(views)} keyframes: disagreement {result.before_px:.3f} to {result.after_px:.3f} px, "
             f"{'accepted' if result.accepted else 'refused'}"
