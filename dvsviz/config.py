@@ -62,8 +62,8 @@ class TrackerConfig:
                 raise ConfigError(f"{name}: expected a number, got {value!r}")
         if self.window is not None and not _is_whole(self.window):
             raise ConfigError(f"window: expected a whole number of events, got {self.window!r}")
-        if not _is_whole(self.seed) or self.seed < 0:
-            raise ConfigError(f"seed: expected a whole number of at least 0, got {self.seed!r}")
+        if not _is_whole(self.seed) or not 0 <= self.seed < 1 << 63:
+            raise ConfigError(f"seed: expected a whole number of at least 0, below 2^63, got {self.seed!r}")
         if self.window is not None and not 100 <= self.window <= 5_000_000:
             raise ConfigError(f"window: expected 100 to 5000000 events, got {self.window}")
         if not 1.0 <= self.max_window_ms <= 10_000.0:

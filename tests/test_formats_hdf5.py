@@ -161,7 +161,12 @@ def _set(file: h5py.File, name: str, values: object) -> None:
         (lambda f: _set(f, "events/y", np.array([1, -2, 7, 4, 5], np.int16)), "outside the sensor"),
         (lambda f: _set(f, "groundtruth/position", np.full((2, 3), np.nan)), "pose 0: the pose is not finite"),
         (lambda f: _set(f, "groundtruth/t", np.array([5, 5])), "groundtruth: .*strictly increasing"),
-        (lambda f: _set(f, "imu/gyro", np.zeros((2, 2))), "imu: expected 2 rates"),
+        (lambda f: _set(f, "imu/gyro", np.zeros((2, 2))), r"imu: expected .*gyro \(2, 2\)"),
+        (lambda f: _set(f, "imu/gyro", np.full((2, 3), b"x")), "imu/gyro: expected numbers"),
+        (lambda f: _set(f, "imu/t", np.array([0.1, 0.2])), "imu/t: expected whole numbers"),
+        (lambda f: _set(f, "imu/t", np.array([1, 2**63], np.uint64)), "imu/t: .* 63 bits"),
+        (lambda f: _set(f, "events/t", np.full(5, 2**63 + 1, np.uint64)), "events 0 and after: .* 63 bits"),
+        (lambda f: f.attrs.update(plane_normal_world=[1.0, 2.0]), "plane_normal_world: expected three"),
         (lambda f: _set(f, "frames/image", np.zeros((3, 4), np.uint8)), "frames/image: expected"),
     ],
 )
@@ -179,6 +184,17 @@ def test_refused_by_name(tmp_path: Path, break_it, message: str) -> None:
     with pytest.raises(FormatError, match=message) as caught:
         read_recording(path)
     assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_gyroscope_alone_is_enough(tmp_path: Path) -> None:
+    path = tmp_path / "r.h5"
+    with RecordingWriter(path, camera=CAMERA) as writer:
+        writer.append(make_events([1, 2, 3]))
+        writer.set_imu(Imu(t_us=np.arange(2, dtype=np.int64), gyro=np.ones((2, 3)), accel=np.zeros((2, 3))))
+    with h5py.File(path, "a") as file:
+        del file["imu/accel"]
+    imu = read_recording(path).imu
+    assert imu is not None and imu.gyro.shape == (2, 3) and np.isnan(imu.accel).all()
 
 
 def test_no_file_no_hdf5_no_events(tmp_path: Path) -> None:

@@ -169,9 +169,13 @@ def test_a_pose_is_previewed_and_checked(page: Page) -> None:
         {"position": [0, 0, 0], "quaternion_wxyz": [0, 0, 0, 0]},
         {"position": [0, 0, float("1e9")], "quaternion_wxyz": [1, 0, 0, 0]},
         {"position": ["0", 0, 0], "quaternion_wxyz": [1, 0, 0, 0]},
+        {"position": [10**400, 0, 0], "quaternion_wxyz": [1, 0, 0, 0]},
     )
     for bad in wrong:
         assert page.post("/api/sessions/old/preview", window=20, pose=bad).status_code == 400
+    deep = page.client.post("/api/sessions/old/preview", content="[" * 20_000)
+    assert deep.status_code == 400 and "nested" in deep.json()["error"]
+    assert page.post("/api/sessions/old/branch", window=2, config={"seed": 2**63}).status_code == 409
     assert page.post("/api/sessions/old/branch", window=300).status_code == 400
     assert page.post("/api/sessions/old/branch", window=0, pose=pose).status_code == 400
     assert page.post("/api/sessions/old/branch", window=2, config={"motion": "sideways"}).status_code == 409

@@ -16,13 +16,15 @@ import pytest
 from dvsviz.config import TrackerConfig
 from dvsviz.errors import ConfigError, RunCancelled, SessionError
 from dvsviz.evaluate.evaluate import evaluate
-from dvsviz.events.recording import Recording
+from dvsviz.events.events import Events
+from dvsviz.events.recording import MemoryEvents, Recording
 from dvsviz.formats.open import open_recording
 from dvsviz.geometry.camera import Camera
 from dvsviz.pipeline import Progress, summarize, track
 from dvsviz.session.records import STATUSES, Status
 from dvsviz.session.store import open_session
 from dvsviz.simulate.simulate import simulate
+from dvsviz.tracking.tracker import Tracker
 
 KEYS = [
     "session",
@@ -267,3 +269,61 @@ def test_no_kernel_is_compiled_after_the_clock_has_started(recording: Recording,
         check=False,
     )
     assert told.returncode == 0, told.stderr
+
+
+def _of(t_us: list[int], size: tuple[int, int]) -> Recording:
+    n = len(t_us)
+    events = Events(
+        t_us=np.array(t_us, np.int64),
+        x_px=np.arange(n, dtype=np.uint16) % size[0],
+        y_px=np.arange(n, dtype=np.uint16) % size[1],
+        is_positive=np.ones(n, np.bool_),
+    )
+    camera = Camera.guess(*size)
+    return Recording(path=Path("odd"), name="odd", format="memory", camera=camera, events=MemoryEvents(events))
+
+
+@pytest.mark.parametrize(
+    ("t_us", "size", "said"),
+    [
+        ([0, 1, 2], (1, 1), "too small"),
+        ([0, 1, 2], (4096, 1), "too small"),
+        ([-(2**62), 0, 2**62], (64, 48), "years apart"),
+    ],
+)
+def test_what_no_camera_records_is_refused(
+    t_us: list[int], size: tuple[int, int], said: str, tmp_path: Path
+) -> None:
+    with pytest.raises(SessionError, match=said):
+        track(_of(t_us, size), None, tmp_path / "s.h5")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("t_us", [[7], [7, 7, 7], [2**62, 2**62 + 5, 2**62 + 90_000], [-(2**62), 1 - 2**62]])
+def test_a_few_events_make_a_session(t_us: list[int], tmp_path: Path) -> None:
+    summary = track(_of(t_us, (64, 48)), None, tmp_path / "s.h5")
+    assert summary["windows"] >= 1
+    with open_session(tmp_path / "s.h5") as session:
+        assert session.complete and session.column("start_us")[0] == t_us[0]
+
+
+def test_a_damaged_checkpoint_leaves_the_session_as_it_was(
+    recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A number that is none in what is gone on from is told; nothing that was tracked is taken away."""
+    out, cancel = tmp_path / "s.h5", threading.Event()
+
+    def stop(progress: Progress) -> None:
+        if progress.window >= 3:
+            cancel.set()
+
+    packed = Tracker.checkpoint
+    monkeypatch.setattr(Tracker, "checkpoint", lambda self: packed(self) | {"velocity": np.full(3, np.nan)})
+    with pytest.raises(RunCancelled):
+        track(recording, None, out, progress=stop, cancel=cancel)
+    before = out.read_bytes()
+    with pytest.raises(SessionError, match=r"checkpoint of window \d+: cannot be gone on with .*velocity"):
+        track(recording, None, out, resume=True)
+    assert out.read_bytes() == before
+    with open_session(out) as session:
+        assert session.window_count >= 4

@@ -125,6 +125,21 @@ def test_what_cannot_be_tried_is_refused(recording: Recording, parent: Path, tmp
         branch(recording, parent, tmp_path / "b.h5", Branch(window=0, config=CONFIG, T_world_camera=np.eye(4)))
     with pytest.raises(SessionError, match="already exists"):
         branch(recording, parent, parent, Branch(window=3, config=CONFIG))
+    with open_session(parent) as a:
+        last, T = a.window_count - 1, a.Ts_world_camera()[-1]
+    mirrored, nan, far, behind = (T.copy() for _ in range(4))
+    mirrored[:3, 0] *= -1
+    nan[1, 3], far[0, 3], behind[2, 3] = np.nan, 1e9, 1.5
+    for bad, said in (
+        (mirrored, "mirrors"),
+        (2 * T, "scales"),
+        (nan, "finite"),
+        (far, "within"),
+        (behind, "behind"),
+        (T[:3], r"\(3, 4\)"),
+    ):
+        with pytest.raises(ConfigError, match=said):
+            branch(recording, parent, tmp_path / "b.h5", Branch(window=last, config=CONFIG, T_world_camera=bad))
     assert not (tmp_path / "b.h5").exists()
 
 

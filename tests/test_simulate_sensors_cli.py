@@ -16,7 +16,7 @@ from dvsviz.geometry.camera import Camera
 from dvsviz.geometry.trajectory import Trajectory
 from dvsviz.geometry.tum import write_tum
 from dvsviz.registration.frames import open_frames
-from dvsviz.simulate import suite
+from dvsviz.simulate import simulate, suite
 from dvsviz.simulate.motion import slider
 
 SMALL = Camera(width=90, height=60, fx=80.0, fy=80.0, cx=44.5, cy=29.5)
@@ -101,6 +101,57 @@ def test_wrong_wishes_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture
     out.write_bytes(b"")
     assert "folder" in refused(capsys, "--layout", "uzh", "--force", "--out", out)
     assert "already exists" in refused(capsys, "--out", out)
+
+
+@pytest.mark.parametrize(
+    ("name", "image"),
+    [
+        ("dot", np.zeros((1, 1), np.uint8)),
+        ("thin", np.arange(200, dtype=np.uint8)[None]),
+        ("plain", np.full((40, 60), 90, np.uint8)),
+    ],
+)
+def test_pictures_that_show_nothing_are_one_line(
+    name: str, image: np.ndarray, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / f"{name}.png"
+    assert cv2.imwrite(str(path), image)
+    assert f"{name}.png: image: expected" in refused(capsys, "--scene", path, "--out", tmp_path / "r.h5")
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+def test_what_would_fill_the_memory_is_refused_at_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Images by the hundred million, a wall of billions of texels, a motion that lasts for years."""
+    out, T = tmp_path / "r.h5", np.stack([np.eye(4)] * 4)
+    write_tum(tmp_path / "long.tum", Trajectory(t_us=np.arange(4) * 10**14, Ts_world_camera=T))
+    assert "images would be needed" in refused(capsys, "--size", "1x4096", "--seconds", 0.1, "--out", out)
+    with monkeypatch.context() as patch:
+        patch.setattr(simulate, "_MOST_TEXELS", 1000)
+        assert "points large" in refused(capsys, "--seconds", 0.01, "--out", out)
+    assert "give --seconds" in refused(capsys, "--motion", tmp_path / "long.tum", "--out", out)
+    assert "distance" in refused(capsys, "--distance", "1e-9", "--out", out)
+    assert "whole number" in refused(capsys, "--seed", "-1", "--out", out)
+    assert "rotation or turn" in refused(capsys, "--scene", "room", "--out", out)
+    assert not out.exists()
+
+
+def test_force_replaces_only_what_a_simulation_made(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text, folder = tmp_path / "thesis.h5", tmp_path / "mine"
+    text.write_text("years of work")
+    folder.mkdir()
+    (folder / "letter.txt").write_text("dear")
+    assert "not replaced" in refused(capsys, "--seconds", 0.1, "--force", "--out", text)
+    assert "is a folder" in refused(capsys, "--seconds", 0.1, "--force", "--out", folder)
+    for layout in ("uzh", "rgbd"):
+        assert "not replaced" in refused(capsys, "--layout", layout, "--force", "--out", folder)
+    assert "no name" in refused(capsys, "--layout", "uzh", "--force", "--out", "/")
+    assert text.read_text() == "years of work" and len(list(folder.iterdir())) == 1
+    argv = ["--size", "48x32", "--seconds", 0.1, "--force", "--out"]
+    for again in range(2):
+        assert run(*argv, tmp_path / "r.h5") == 0, again
+        assert run(*argv, tmp_path / "text", "--layout", "uzh") == 0, again
 
 
 def test_suite_by_name(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

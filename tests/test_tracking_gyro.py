@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from test_tracking_panorama import CAMERA, seen
 from dvsviz.config import TrackerConfig
 from dvsviz.errors import ConfigError
 from dvsviz.events.events import Events
+from dvsviz.events.inertial import imu_warnings, usable_imu
 from dvsviz.events.recording import Imu, MemoryEvents, Recording
 from dvsviz.events.windows import windows
 from dvsviz.geometry import se3
@@ -133,3 +135,82 @@ def test_a_blank_stretch(blank: Recording, imu: str) -> None:
 def test_setting_is_checked() -> None:
     with pytest.raises(ConfigError, match="imu: expected one of auto, off"):
         TrackerConfig(imu="on")  # pyright: ignore[reportArgumentType]
+
+
+def test_measurements_that_cannot_be_right_are_told_and_not_used() -> None:
+    """What is left is in order and finite, and the recorded arrays stay as they were."""
+    imu = measured(1.0)
+    gyro, back = imu.gyro.copy(), imu.t_us[::-1].copy()
+    gyro[100:200], gyro[300] = np.nan, 1e12
+    for column in (imu.t_us, imu.gyro, gyro, back):
+        column.setflags(write=False)
+    found, said = usable_imu(replace(imu, gyro=gyro))
+    assert found is not None and len(found.t_us) == len(imu.t_us) - 101 and np.isfinite(found.gyro).all()
+    assert [line.split(" rates ")[0] for line in said] == ["imu: 100 of 1010", "imu: 1 of 1010"]
+    found, said = usable_imu(replace(imu, t_us=back))
+    assert found is not None and (np.diff(found.t_us) > 0).all() and "backwards" in said[0]
+    assert np.array_equal(found.gyro, imu.gyro[::-1])
+    assert usable_imu(imu)[1] == ()
+    for few in (replace(imu, t_us=np.zeros_like(imu.t_us)), replace(imu, gyro=np.full_like(gyro, np.inf))):
+        assert usable_imu(few)[0] is None and "not used" in usable_imu(few)[1][-1]
+
+
+def test_a_gyroscope_on_another_clock_is_told(blank: Recording) -> None:
+    assert blank.imu is not None and imu_warnings(blank) == ()
+    for shift in (-(10**12), 2**62):
+        said = imu_warnings(replace(blank, imu=replace(blank.imu, t_us=blank.imu.t_us + shift)))
+        assert len(said) == 1 and "clock" in said[0]
+
+
+@pytest.mark.parametrize("wrong", ["the other way", "another axis", "degrees", "always"])
+def test_a_gyroscope_that_lies_is_left_out(wrong: str) -> None:
+    """Tracking is what it is without one, and it is told why."""
+    recording = Recording(
+        path=Path("swing"), name="swing", format="memory", camera=CAMERA, events=MemoryEvents(seen(swing, 0.9))
+    )
+    imu = measured(0.9)
+    rates = {
+        "the other way": -imu.gyro,
+        "another axis": imu.gyro[:, [1, 2, 0]],
+        "degrees": np.clip(np.degrees(imu.gyro), -60, 60),
+        "always": np.full_like(imu.gyro, 5.0),
+    }[wrong]
+    ends = []
+    for used in (None, replace(imu, gyro=rates)):
+        tracker = Tracker(CAMERA, TrackerConfig(motion="rotation", imu="off" if used is None else "auto"), used)
+        told: list[str] = []
+        results = []
+        for window in windows(recording, lambda tracker=tracker: tracker.window_size):
+            results.append(tracker.step(window))
+            told += [line.text for line in tracker.take_updates().log if "gyroscope" in line.text]
+        assert all(r.status in (Status.TRACKING, Status.WEAK, Status.INITIALIZING) for r in results)
+        assert len(told) == (used is not None), told
+        ends.append(results[-1].T_world_camera)
+    truth = swing(np.array([0.0, results[-1].start_us * 1e-6]))
+    assert se3.rotation_angle(ends[0][:3, :3].T @ ends[1][:3, :3]) < 1e-3
+    assert se3.rotation_angle(ends[1][:3, :3].T @ truth[0].T @ truth[1]) < 0.02
+
+
+def test_trust_is_won_lost_and_won_again() -> None:
+    """By agreement over a tenth of a second; after it was forsaken it has to agree for half a second."""
+    imu = measured(6.0)
+    rates = imu.gyro.copy()
+    rates[2000:3000] += 2.0
+    gyro = Gyro(replace(imu, gyro=rates))
+    assert not gyro.knows(100_000, 130_000)
+    told, trusted = [], []
+    for t_us in range(0, 5_900_000, 25_000):
+        told.append(gyro.check(t_us, swing(np.array([t_us * 1e-6]))[0]))
+        trusted.append((t_us, gyro.knows(t_us, t_us + 20_000)))
+    assert [text for text in told if text] == [
+        "the gyroscope turns 3.5 rad/s off what is seen: it is left out until it agrees again"
+    ]
+    assert all(good for t, good in trusted if 200_000 < t < 2_000_000)
+    assert not any(good for t, good in trusted if 2_400_000 < t < 3_300_000)
+    assert all(good for t, good in trusted if t > 3_700_000)
+    again = Gyro(imu)
+    again.unpack(gyro.pack())
+    assert again.trust == gyro.trust == c.GYRO_TRUST_MOST
+    older = {name: values for name, values in gyro.pack().items() if name not in ("gyro_trust", "gyro_checked")}
+    again.unpack(older)
+    assert again.trust > 0

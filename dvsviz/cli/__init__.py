@@ -33,6 +33,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         _say("stopped")
         return EXIT_INTERRUPTED
+    except MemoryError as error:
+        _say(f"error: out of memory ({error}); give a shorter or smaller part, or a smaller sensor")
+        return EXIT_ERROR
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_ERROR

@@ -15,6 +15,7 @@ from dvsviz.config import TrackerConfig
 from dvsviz.errors import ConfigError, DvsvizError, RunCancelled, SessionError
 
 if TYPE_CHECKING:
+    from dvsviz.events.recording import Recording
     from dvsviz.pipeline import Progress
 
 # The tracker is imported after the recording was read: what is wrong with a file is said without waiting for it.
@@ -31,7 +32,7 @@ def track(command: Track) -> int:
     if command.recording is None or command.record is not None:
         hint = "name a RECORDING, or a stream with --live (and --record, if it is to be kept)"
         raise UsageError("nothing to track" if command.recording is None else "--record is for --live", hint=hint)
-    recording = read_recording(command.recording, command)
+    recording = _read(command.recording, command)
     out = command.out or sessions_folder() / f"{recording.name}.h5"
     if command.resume and command.force:
         raise ConfigError("--resume continues a session and --force replaces it", hint="say one of them")
@@ -65,7 +66,7 @@ def batch(command: Batch) -> int:
     taken: set[Path] = set()
     for path in command.recordings:
         try:
-            recording = read_recording(path, command)
+            recording = _read(path, command)
             out = folder / f"{recording.name}.h5"
             if out in taken:
                 raise SessionError("is the session of another recording of this batch", path=out, hint="rename one")
@@ -88,6 +89,14 @@ def batch(command: Batch) -> int:
     elif runs:
         print(_table(runs))
     return 2 if failed else 0
+
+
+def _read(path: Path, command: Tracking) -> Recording:
+    """Return the recording that is named, and say what is asked of it that it has not."""
+    recording = read_recording(path, command)
+    if command.imu == "auto" and recording.imu is None:
+        note(f"warning: {path}: there is no gyroscope in it, it is tracked without")
+    return recording
 
 
 def config_of(command: Tracking) -> TrackerConfig:

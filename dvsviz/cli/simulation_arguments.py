@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -14,6 +15,7 @@ SCENES = ("shapes", "poster", "stripes", "checkerboard", "planes", "boxes", "car
 _PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
 Layout = Literal["hdf5", "uzh", "rgbd"]
 MOTIONS = ("handheld", "slider", "rotation", "turn", "shake", "circle", "rectangle", "lawnmower")
+TURNS = ("rotation", "turn")
 
 
 def _motion(word: str) -> str:
@@ -26,6 +28,12 @@ def _scene(word: str) -> str:
     if word not in SCENES and Path(word).suffix.lower() not in _PICTURES:
         raise ValueError(f"expected one of {', '.join(SCENES)}, or a picture x.png or x.jpg, got {word}")
     return word
+
+
+def _seed(word: str) -> int:
+    if not re.fullmatch(r"\d+", word):
+        raise ValueError(f"expected a whole number of at least 0, got {word}")
+    return int(word)
 
 
 def _seconds(word: str) -> float:
@@ -56,7 +64,7 @@ class Simulate:
     """How the camera moves: a hand, a flight over boxes, or the poses of a TUM file."""
     seconds: Annotated[float | None, *option("S", _seconds, "10, or the whole of a flight or file")] = None
     """Duration."""
-    seed: int = 1
+    seed: Annotated[int, *option("INT", _seed, "1")] = 1
     """Of everything random: the same seed writes the same events."""
     distance: float = 1.0
     """Metres to the wall."""

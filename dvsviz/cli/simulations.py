@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dvsviz.cli.console import note, share_bar
-from dvsviz.cli.simulation_arguments import MOTIONS, SCENES, Simulate, SimulateSuite
+from dvsviz.cli.simulation_arguments import MOTIONS, SCENES, TURNS, Simulate, SimulateSuite
 from dvsviz.errors import DvsvizError
 
 if TYPE_CHECKING:
@@ -17,12 +17,8 @@ if TYPE_CHECKING:
 
 def simulate(command: Simulate) -> int:
     """Write a simulated recording or RGB-D sequence."""
-    if command.out.exists() and not command.force:
-        raise DvsvizError("already exists", path=command.out, hint="replace it with --force")
-    if command.layout != "hdf5" and command.out.is_file():
-        raise DvsvizError("is a file", path=command.out, hint=f"name a folder for the layout {command.layout}")
+    _check_target(command)
     options: dict[str, Any] = {
-        "scene": _scene(command.scene),
         "motion": command.motion if command.motion in MOTIONS else Path(command.motion),
         "seconds": command.seconds,
         "seed": command.seed,
@@ -30,10 +26,13 @@ def simulate(command: Simulate) -> int:
         "tilt_deg": command.tilt_deg,
     }
     try:
+        options["scene"] = _scene(command.scene)
         options["camera"] = _camera(command)
         with share_bar(f"simulating {command.out.name}") as show:
             if command.scene == "room" and command.layout == "rgbd":
                 raise ValueError("scene: a room around the camera has no depth to write; --layout hdf5 or uzh")
+            if command.scene == "room" and command.motion in MOTIONS and command.motion not in TURNS:
+                raise ValueError(f"motion: in the room a camera only turns: expected {' or '.join(TURNS)}")
             if command.layout == "rgbd":
                 from dvsviz.simulate.rgbd import simulate_rgbd
 
@@ -48,6 +47,30 @@ def simulate(command: Simulate) -> int:
         raise DvsvizError(str(error), hint="see dvsviz simulate --help") from error
     note(f"wrote {command.out}")
     return 0
+
+
+def _check_target(command: Simulate) -> None:
+    """Refuse to write over what was not made by a simulation."""
+    out, is_folder = command.out, command.layout != "hdf5"
+    if not out.name:
+        raise DvsvizError("is no name of its own", path=out, hint="name a file x.h5, or a folder for other layouts")
+    if not out.exists():
+        return
+    if not command.force:
+        raise DvsvizError("already exists", path=out, hint="replace it with --force")
+    if is_folder and not out.is_dir():
+        raise DvsvizError("is a file", path=out, hint=f"name a folder for the layout {command.layout}")
+    if not is_folder and out.is_dir():
+        raise DvsvizError("is a folder", path=out, hint="name a file x.h5")
+    if is_folder:
+        ours = any((out / name).is_file() for name in ("events.txt", "rgb.txt")) or not any(out.iterdir())
+    else:
+        from dvsviz.formats.hdf5 import is_recording
+
+        ours = is_recording(out) or out.stat().st_size == 0
+    if not ours:
+        what = "folder of a simulation" if is_folder else "recording of dvsviz"
+        raise DvsvizError(f"is no {what} and is not replaced", path=out, hint="choose another name with --out")
 
 
 def _events(command: Simulate, options: dict[str, Any], show: Callable[[float], None]) -> None:
@@ -87,11 +110,17 @@ def _picture(path: Path) -> Painter:
 
     try:
         image = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_GRAYSCALE)
-    except (OSError, cv2.error) as error:
-        raise DvsvizError("the picture cannot be read", path=path, hint="name a PNG or JPEG file") from error
+    except OSError as error:
+        raise DvsvizError(f"cannot be read: {error.strerror}", path=path, hint="check the path") from error
+    except cv2.error as error:
+        message = "the picture is empty, damaged or too large to be read"
+        raise DvsvizError(message, path=path, hint="name a PNG or JPEG file") from error
     if image is None:
         raise DvsvizError("is not a picture", path=path, hint="name a PNG or JPEG file")
-    return picture(image.astype(np.uint8))
+    try:
+        return picture(image.astype(np.uint8))
+    except ValueError as error:
+        raise DvsvizError(str(error), path=path, hint="name another picture") from error
 
 
 def _camera(command: Simulate) -> Camera | None:

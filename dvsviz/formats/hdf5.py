@@ -18,7 +18,7 @@ from dvsviz.formats.hdf5_writer import FORMAT, VERSION, RecordingWriter
 from dvsviz.geometry.camera import Camera
 from dvsviz.geometry.trajectory import Trajectory
 
-__all__ = ["FORMAT", "VERSION", "Hdf5Events", "Hdf5Frames", "RecordingWriter", "read_recording"]
+__all__ = ["FORMAT", "VERSION", "Hdf5Events", "Hdf5Frames", "RecordingWriter", "is_recording", "read_recording"]
 
 # 262,144 events of 13 B are 3.4 MB: large enough that a window of thousands of events seldom costs two reads.
 _BLOCK = 1 << 18
@@ -110,6 +110,9 @@ class Hdf5Events:
         first = k * _BLOCK
         key = slice(first, first + _BLOCK)
         t, x, y, p = (_values(c, key, self._path, f"events {first} and after") for c in self._columns)
+        if t.dtype == np.uint64 and int(t.max()) > np.iinfo(np.int64).max:
+            hint = "write microseconds of a nearer origin"
+            _refuse(self._path, f"events {first} and after", f"the time {t.max()} does not fit into 63 bits", hint)
         if (x.dtype != np.uint16 and (int(x.min()) < 0 or int(x.max()) >= _MAX_SIDE)) or (
             y.dtype != np.uint16 and (int(y.min()) < 0 or int(y.max()) >= _MAX_SIDE)
         ):
@@ -146,6 +149,15 @@ class Hdf5Frames:
     def read(self, index: int) -> NDArray[np.uint8]:
         """Return frame `index` (height, width)."""
         return _values(self._images, index, self._path, f"frames/image {index}")
+
+
+def is_recording(path: Path) -> bool:
+    """Return whether a file is a recording of ours, of any version; False where it cannot be opened."""
+    try:
+        with h5py.File(path, "r") as file:
+            return file.attrs.get("format") == FORMAT
+    except OSError:
+        return False
 
 
 def read_recording(path: Path) -> Recording:
@@ -186,6 +198,8 @@ def _read(file: h5py.File, path: Path) -> Recording:
         for first in range(0, events.count, _BLOCK):
             events.read(first, first + 1)
     normal = file.attrs.get("plane_normal_world")
+    if normal is not None and (np.shape(normal) != (3,) or np.asarray(normal).dtype.kind not in "iuf"):
+        _refuse(path, "attribute plane_normal_world", f"expected three numbers, got {normal!r}", "write it anew")
     return Recording(
         path=path,
         name=path.stem,
@@ -251,13 +265,26 @@ def _ground_truth(file: h5py.File, path: Path) -> Trajectory | None:
 def _imu(file: h5py.File, path: Path) -> Imu | None:
     if "imu" not in file:
         return None
-    t, gyro, accel = (
-        _values(_dataset(file, f"imu/{name}", path), slice(None), path, f"imu/{name}")
-        for name in ("t", "gyro", "accel")
-    )
-    if gyro.shape != (len(t), 3) or accel.shape != (len(t), 3):
-        _refuse(path, "imu", f"expected {len(t)} rates and accelerations, got {gyro.shape}, {accel.shape}")
+    hint = "write it anew, or leave it out with --repair"
+    t, gyro = (_numbers(file, f"imu/{name}", path, kinds, hint) for name, kinds in (("t", "iu"), ("gyro", "iuf")))
+    # Many sensors have a gyroscope alone.
+    has_accel = not isinstance(file["imu"], h5py.Group) or "accel" in file["imu"]
+    accel = _numbers(file, "imu/accel", path, "iuf", hint) if has_accel else np.full_like(gyro, np.nan, np.float64)
+    if t.ndim != 1 or gyro.shape != (len(t), 3) or accel.shape != (len(t), 3):
+        found = f"t {t.shape}, gyro {gyro.shape}, accel {accel.shape}"
+        _refuse(path, "imu", f"expected (N,) times, (N, 3) rates and accelerations, got {found}", hint)
     return Imu(t_us=t.astype(np.int64), gyro=gyro.astype(np.float64), accel=accel.astype(np.float64))
+
+
+def _numbers(file: h5py.File, name: str, path: Path, kinds: str, hint: str) -> NDArray[Any]:
+    """Return a dataset of numbers, refused where its type is none of these kinds or the numbers are too large."""
+    values = _values(_dataset(file, name, path), slice(None), path, name)
+    if values.dtype.kind not in kinds:
+        wanted = "numbers" if "f" in kinds else "whole numbers (microseconds)"
+        _refuse(path, name, f"expected {wanted}, got {values.dtype}", hint)
+    if values.dtype == np.uint64 and values.size and int(values.max()) > np.iinfo(np.int64).max:
+        _refuse(path, name, f"{values.max()} does not fit into 63 bits", hint)
+    return values
 
 
 def _dataset(file: h5py.File, name: str, path: Path) -> h5py.Dataset:

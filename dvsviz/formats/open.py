@@ -11,6 +11,7 @@ import h5py
 
 from dvsviz.errors import FormatError
 from dvsviz.events.filters import FilterConfig
+from dvsviz.events.inertial import imu_warnings
 from dvsviz.events.recording import Recording
 from dvsviz.formats import (
     aedat2,
@@ -105,6 +106,7 @@ def open_recording(
         guess = GUESS_WARNING.split(":")[0]
         warnings = tuple(warning for warning in recording.warnings if not warning.startswith(guess))
         recording = replace(recording, camera=camera, warnings=warnings)
+    recording = replace(recording, warnings=(*recording.warnings, *imu_warnings(recording)))
     return _with_truth(recording, ground_truth, gt_offset_s, options)
 
 

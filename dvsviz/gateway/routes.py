@@ -291,7 +291,7 @@ def _answered(call: Callable[[Request], Awaitable[Response]]) -> Callable[[Reque
             return await call(request)
         except KeyError as error:
             return JSONResponse({"error": str(error.args[0])}, status_code=404)
-        except ValueError as error:
+        except (ValueError, OverflowError) as error:
             return JSONResponse({"error": str(error)}, status_code=400)
         except DvsvizError as error:
             return JSONResponse({"error": str(error)}, status_code=409)
@@ -300,7 +300,10 @@ def _answered(call: Callable[[Request], Awaitable[Response]]) -> Callable[[Reque
 
 
 async def _body(request: Request) -> dict[str, Any]:
-    body = json.loads(await request.body())
+    try:
+        body = json.loads(await request.body())
+    except RecursionError:
+        raise ValueError("expected a JSON object, got one that is nested too deeply") from None
     if not isinstance(body, dict):
         raise ValueError("expected a JSON object")
     return body

@@ -17,6 +17,7 @@ from dvsviz.errors import DvsvizError
 from dvsviz.gateway.library import Library
 from dvsviz.gateway.messages import pack_images
 from dvsviz.gateway.trial import KINDS, dragged, obey
+from dvsviz.gateway.wishes import whole_or_none
 from dvsviz.view.cache import ImageCache
 from dvsviz.view.compare import lay
 from dvsviz.view.images import LONGEST_MS, MOST_WINDOWS, ImageKind, ImageOptions
@@ -121,7 +122,7 @@ class Tab:
             if len(text) > _MAX_MESSAGE:
                 raise ValueError("too long")
             message = json.loads(text)
-            kind, request = message["type"], message.get("request")
+            kind, request = message["type"], whole_or_none(message.get("request"))
             if kind == "seek":
                 await self._seek(message)
             elif kind == "open":
@@ -137,7 +138,7 @@ class Tab:
                 await asyncio.to_thread(self.scene.set_layers, layers)
             else:
                 raise ValueError(f"type {kind!r} is not known")
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
+        except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError) as error:
             self._fail(f"the page sent a message that makes no sense: {error!r}", request)
         except DvsvizError as error:
             self._fail(str(error), request)

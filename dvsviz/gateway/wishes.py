@@ -19,6 +19,9 @@ from dvsviz.geometry.camera import Camera
 
 _NUMBERS = ("fx", "fy", "cx", "cy")
 _LONGEST_TAG, _MOST_TAGS = 40, 20
+# The largest whole number of a page, 2^53; and no setting is as large as this: whole numbers beyond are no floats.
+_MOST_COUNTED = 1 << 53
+_LARGEST = 1e300
 
 
 def config_fields() -> list[dict[str, Any]]:
@@ -175,6 +178,12 @@ def whole_from(value: object, name: str) -> int:
     return value
 
 
+def whole_or_none(value: object) -> int | None:
+    """Return a number that answers are marked by, None where it is none that a page counts to."""
+    is_whole = isinstance(value, int) and not isinstance(value, bool)
+    return value if is_whole and abs(value) <= _MOST_COUNTED else None
+
+
 def _object(values: object, name: str) -> dict[str, Any]:
     if not isinstance(values, dict):
         raise ValueError(f"{name}: expected an object")
@@ -182,8 +191,8 @@ def _object(values: object, name: str) -> dict[str, Any]:
 
 
 def _number(value: object, name: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise ValueError(f"{name}: expected a number, got {value!r}")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < _LARGEST:
+        raise ValueError(f"{name}: expected a number, got {str(value)[:40]}")
     return float(value)
 
 
@@ -195,10 +204,6 @@ def part_from(body: dict[str, Any]) -> Part:
     """
     found: dict[str, float] = {}
     for name in ("start_s", "end_s", "speed"):
-        value = body.get(name)
-        if value is None:
-            continue
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            raise ValueError(f"{name}: expected a number, got {value!r}")
-        found[name] = float(value)
+        if body.get(name) is not None:
+            found[name] = _number(body[name], name)
     return Part(**found)

@@ -118,6 +118,28 @@ def pose(rotation: ArrayLike | None = None, position: ArrayLike | None = None) -
     return out
 
 
+def checked_pose(T_a_b: ArrayLike, name: str) -> Array:
+    """Return a copy of a pose (4, 4) whose rotation is one to the last digit.
+
+    Args:
+        T_a_b: a rigid transform, its rotation good to a thousandth.
+        name: how errors call it.
+
+    Raises:
+        ValueError: it has another shape, is not finite, or no rigid transform: scaled, sheared or mirrored.
+    """
+    T = np.array(T_a_b, dtype=np.float64)
+    if T.shape != (4, 4):
+        raise ValueError(f"{name}: expected a pose (4, 4), got {T.shape}")
+    if not np.isfinite(T).all():
+        raise ValueError(f"{name}: expected finite numbers")
+    R = T[:3, :3]
+    is_rigid = np.abs(R @ R.T - np.eye(3)).max() < 1e-3 and np.linalg.det(R) > 0
+    if not is_rigid or np.abs(T[3] - (0, 0, 0, 1)).max() > 1e-9:
+        raise ValueError(f"{name}: expected a rotation and a position, got a matrix that scales, shears or mirrors")
+    return pose(Rotation.from_matrix(R).as_matrix(), T[:3, 3])
+
+
 def inverse(T_a_b: ArrayLike) -> Array:
     """Return `T_b_a` (..., 4, 4) of rigid transforms `T_a_b` (..., 4, 4)."""
     T = np.asarray(T_a_b, dtype=np.float64)

@@ -72,7 +72,7 @@ def branch(
     Raises:
         RunCancelled: `cancel` was set; what was tracked is in the session.
         SessionError: the parent cannot be read or is not of this recording; the new session exists.
-        ConfigError: there is no such window, or a pose is given where there is no map yet.
+        ConfigError: there is no such window; a pose is none, lies behind the plane, or there is no map yet.
     """
     cv2.setNumThreads(1)
     with open_session(parent) as session:
@@ -183,7 +183,10 @@ def _changed(recording: Recording, tracker: Tracker, wanted: Branch) -> Tracker:
     else:
         tracker = Tracker(recording.camera, config, recording.imu)
     if wanted.T_world_camera is not None:
-        tracker.place(wanted.T_world_camera)
+        try:
+            tracker.place(wanted.T_world_camera)
+        except ValueError as error:
+            raise ConfigError(str(error), hint="give another pose, or none") from error
     return tracker
 
 

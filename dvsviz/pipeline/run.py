@@ -20,8 +20,8 @@ from dvsviz.events.recording import Recording
 from dvsviz.events.windows import EventWindow, windows
 from dvsviz.live.source import LiveEvents
 from dvsviz.live.windows import LiveWindows
+from dvsviz.pipeline.checks import check_target, check_trackable
 from dvsviz.pipeline.summary import evaluation_of, events_kept, summarize
-from dvsviz.session.recognise import is_session
 from dvsviz.session.records import LogEntry, Status, WindowResult
 from dvsviz.session.store import Session, SessionHeader, SessionWriter, open_session
 from dvsviz.tracking.tracker import Tracker
@@ -93,7 +93,8 @@ def track(
     cv2.setNumThreads(1)
     if recording.events.count == 0:
         raise SessionError("no events to track", path=recording.path, hint="check the recording with `dvsviz info`")
-    _check_target(recording, out, force=force)
+    check_trackable(recording)
+    check_target(recording, out, force=force)
     if resume:
         run = Run.resumed(recording, config, out)
     else:
@@ -183,11 +184,20 @@ class Run:
             found = session.checkpoint_at(session.window_count - 1)
             first_event = session.result(found[0]).end_event if found else part_events(recording, header)[0]
         compile_s = warm_up(stored)
+        tracker = Tracker(recording.camera, stored, recording.imu)
+        if found:
+            # Before anything of the session is changed.
+            try:
+                tracker = Tracker.restore(recording.camera, stored, found[1], recording.events, recording.imu)
+            except ValueError as error:
+                raise SessionError(
+                    f"cannot be gone on with ({error})",
+                    path=out,
+                    place=f"checkpoint of window {found[0]}",
+                    hint="it is damaged or of another version of dvsviz: what it holds can be seen; track it anew",
+                ) from error
         writer = SessionWriter.resume(out, windows=found[0] + 1 if found else 0)
         try:
-            tracker = Tracker(recording.camera, stored, recording.imu)
-            if found:
-                tracker = Tracker.restore(recording.camera, stored, found[1], recording.events, recording.imu)
             return cls(recording, header, writer, tracker, first_event, compile_s=compile_s)
         except BaseException:
             writer.abandon()
@@ -324,15 +334,6 @@ def _rerun_logger(out: Path | RerunViewer | None, header: SessionHeader) -> Reru
     from dvsviz.export.rerun import RerunLogger
 
     return RerunLogger(out, header)
-
-
-def _check_target(recording: Recording, out: Path, *, force: bool) -> None:
-    if not out.exists():
-        return
-    if recording.path.exists() and out.samefile(recording.path):
-        raise SessionError("is the recording itself", path=out, hint="name another file with --out")
-    if force and not is_session(out):
-        raise SessionError("is not a session and is not replaced", path=out, hint="name another file with --out")
 
 
 def part_events(recording: Recording, header: SessionHeader) -> tuple[int, int | None]:

@@ -18,7 +18,7 @@ from dvsviz.simulate.models.light import depth_image, intensity_image
 from dvsviz.simulate.paths import AnyMotion, AnyScene, make_path, make_scene
 from dvsviz.simulate.relief import Relief, ReliefView, image_of
 from dvsviz.simulate.render import PixelGrid
-from dvsviz.simulate.simulate import wall_relief
+from dvsviz.simulate.simulate import LONGEST_S, check_wall, wall_relief
 
 # Units a metre of the layout's depth images.
 DEPTH_SCALE = 5000.0
@@ -103,16 +103,15 @@ def simulate_rgbd(
         raise ValueError(f"rate_hz, seconds: expected 0 to 1000 and 0 to 36000, got {rate_hz}, {seconds}")
     if not 0 <= exposure_s <= 1 / rate_hz:
         raise ValueError(f"exposure_s: expected 0 to a frame's {1 / rate_hz:.4f} s, got {exposure_s}")
-    if not 0 < distance < 1e4 or not 0 <= tilt_deg < 80:
-        raise ValueError(
-            f"distance, tilt_deg: expected metres above 0 and 0 to 80 degrees, got {distance}, {tilt_deg}"
-        )
+    check_wall(distance, tilt_deg)
     camera = rgbd_camera() if camera is None else camera
     model = RgbdModel() if model is None else model
     rngs = [np.random.default_rng([seed, i]) for i in range(5)]
     found = make_scene(scene, rngs[1])
     relief = found if isinstance(found, Relief) else None
     path, seconds = make_path(motion, rngs[0], seconds, distance=distance, relief=relief)
+    if seconds > LONGEST_S:
+        raise ValueError(f"motion: expected at most {LONGEST_S} s, it lasts {seconds:.0f} s: give --seconds")
     if not isinstance(found, Relief):
         found = wall_relief(found, camera, path, seconds, rngs[1], distance=distance, tilt_deg=tilt_deg)
     t_us = np.round(np.arange(int(seconds * rate_hz + 1e-6) + 1) * 1e6 / rate_hz).astype(np.int64)

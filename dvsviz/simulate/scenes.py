@@ -195,7 +195,10 @@ def picture(image: NDArray[np.uint8], *, width: float = 2.0) -> Painter:
         width: of the image on the wall, m.
     """
     if image.ndim != 2 or min(image.shape) < 2:
-        raise ValueError(f"image: expected grey values (rows, columns), got {image.shape}")
+        size = f"{image.shape[1]}x{image.shape[0]}" if image.ndim == 2 else str(image.shape)
+        raise ValueError(f"image: expected grey values, at least 2x2, got {size}")
+    if int(image.min()) == int(image.max()):
+        raise ValueError("image: expected something to be seen in it, all is of one grey value")
     # Black paper still reflects a little: the logarithm of the light has to be finite.
     light = np.maximum((image / np.float32(255)) ** np.float32(2.2), np.float32(0.02)).astype(np.float32)
 

@@ -37,6 +37,15 @@ STEP_PX = 0.4
 # Parts of the image that move slower than the fastest one wait until they have moved by this much, px.
 STILL_PX = 0.3
 _LONGEST_STEP_S = 5e-3
+# So many images are ten hours of a still camera; their poses and homographies take 2 GB.
+_MOST_STEPS = 10_000_000
+# At 80,000 px/s a hand's shake is beyond every lens; only views of nearly 180 degrees move as fast.
+_MOST_STEPS_A_SECOND = 200_000
+# A texture's levels, and what is painted into them, take some 30 B a texel.
+_MOST_TEXELS = 300_000_000
+# Long motions are looked at in parts of so many poses.
+_PART = 1 << 17
+LONGEST_S = 36_000
 # Events are sorted and written in pieces of this length.
 _FLUSH_S = 0.02
 _TRUTH_HZ = 500.0
@@ -49,6 +58,18 @@ _NEAREST_M = 0.08
 def default_camera() -> Camera:
     """Return the simulated sensor's camera: 240 x 180, 62 degrees across, no distortion."""
     return Camera(width=240, height=180, fx=200.0, fy=200.0, cx=119.5, cy=89.5)
+
+
+def check_wall(distance: float, tilt_deg: float) -> None:
+    """Refuse a wall that nothing could be painted on.
+
+    Raises:
+        ValueError: distance or tilt is out of range.
+    """
+    if not 0.01 <= distance < 1e4 or not 0 <= tilt_deg < 80:
+        raise ValueError(
+            f"distance, tilt_deg: expected 0.01 to 10000 m and 0 to 80 degrees, got {distance}, {tilt_deg}"
+        )
 
 
 def wall(distance: float, tilt_deg: float) -> Plane:
@@ -79,6 +100,9 @@ def image_speed(
     motion: Motion, camera: Camera, plane_world: Plane | None, t_s: Array, relief: ReliefView | None = None
 ) -> Array:
     """Return the largest speed (N,), px/s, of the scene's points over the image; a panorama without a plane."""
+    if len(t_s) > _PART:
+        parts = [t_s[k : k + _PART] for k in range(0, len(t_s), _PART)]
+        return np.concatenate([image_speed(motion, camera, plane_world, part, relief) for part in parts])
     b = border_bearings(camera) if relief is None else inner_bearings(camera)
     dt = 5e-4
     T0, T1 = motion(t_s), motion(t_s + dt)
@@ -110,11 +134,24 @@ def step_times(speed: Array, t_s: Array, longest_s: float = _LONGEST_STEP_S) -> 
     peak = np.maximum(speed, np.maximum(np.roll(speed, 1), np.roll(speed, -1)))
     per_s = np.maximum(peak * 1.05 / STEP_PX, 1 / longest_s)
     steps = np.concatenate([[0.0], np.cumsum((per_s[1:] + per_s[:-1]) / 2 * np.diff(t_s))])
+    most = min(_MOST_STEPS, 1000 + _MOST_STEPS_A_SECOND * (t_s[-1] - t_s[0]))
+    if not steps[-1] <= most:
+        raise ValueError(
+            f"motion, size: {steps[-1]:,.0f} images would be needed, at most {most:,.0f} are drawn: the image moves "
+            "too fast, or for too long"
+        )
     return np.interp(np.linspace(0, steps[-1], int(np.ceil(steps[-1])) + 1), steps, t_s)
 
 
 def visible_bounds(camera: Camera, Hs_map_camera: Array, margin: float = 0.1) -> Bounds:
     """Return the wall's rectangle (left, top, right, bottom), m, that is ever in view of the camera."""
+    if len(Hs_map_camera) > _PART:
+        found = [
+            visible_bounds(camera, Hs_map_camera[k : k + _PART], margin)
+            for k in range(0, len(Hs_map_camera), _PART)
+        ]
+        left, top, right, bottom = zip(*found, strict=True)
+        return min(left), min(top), max(right), max(bottom)
     p = np.einsum("nij,mj->nmi", Hs_map_camera, border_bearings(camera))
     uv = p[..., :2] / np.maximum(p[..., 2:], 1e-3)
     low, high = uv.min(axis=(0, 1)) - margin, uv.max(axis=(0, 1)) + margin
@@ -161,24 +198,23 @@ def simulate(
         ValueError: an argument is out of range, or the camera would pass through the wall.
         FormatError: the file is no trajectory.
     """
-    if seconds is not None and not 0 < seconds <= 36_000:
-        raise ValueError(f"seconds: expected 0 to 36000, got {seconds}")
+    if seconds is not None and not 0 < seconds <= LONGEST_S:
+        raise ValueError(f"seconds: expected 0 to {LONGEST_S}, got {seconds}")
     if not 0 <= frames_hz <= 10_000:
         raise ValueError(f"frames_hz: expected 0 to 10000, got {frames_hz}")
-    if not 0 < distance < 1e4 or not 0 <= tilt_deg < 80:
-        raise ValueError(
-            f"distance, tilt_deg: expected metres above 0 and 0 to 80 degrees, got {distance}, {tilt_deg}"
-        )
+    check_wall(distance, tilt_deg)
     camera = default_camera() if camera is None else camera
     rngs = [np.random.default_rng([seed, i]) for i in range(5)]
     found = make_scene(scene, rngs[1])
     relief = found if isinstance(found, Relief) else None
     path, seconds = make_path(motion, rngs[0], seconds, distance=distance, relief=relief)
+    if seconds > LONGEST_S:
+        raise ValueError(f"motion: expected at most {LONGEST_S} s, it lasts {seconds:.0f} s: give --seconds")
     plane = None if panorama or relief is not None else wall(distance, tilt_deg)
     seen = None if relief is None else ReliefView(PixelGrid.of(camera), relief)
 
     coarse_s = np.linspace(0, seconds, int(np.ceil(seconds * 1000)) + 1)
-    distances = _distances(path(coarse_s), plane)
+    distances = _distances(path, coarse_s, plane)
     if distances.min() < 0.02 * distance:
         raise ValueError(f"motion: the camera comes within {distances.min():.3f} m of the wall")
     sensor = EventCameraModel() if sensor is None else sensor
@@ -269,11 +305,12 @@ class _Light:
         return True
 
 
-def _distances(Ts: Array, plane: Plane | None) -> Array:
-    """Return the camera's distances (N,) to the wall, m; infinite to a panorama."""
+def _distances(path: Motion, t_s: Array, plane: Plane | None) -> Array:
+    """Return the camera's distances (N,) to the wall, m, at times; infinite to a panorama."""
     if plane is None:
-        return np.full(len(Ts), np.inf)
-    return plane.distance + Ts[:, :3, 3] @ plane.normal
+        return np.full(len(t_s), np.inf)
+    parts = [path(t_s[k : k + _PART])[:, :3, 3] @ plane.normal for k in range(0, len(t_s), _PART)]
+    return plane.distance + np.concatenate(parts)
 
 
 def _view(
@@ -287,7 +324,7 @@ def _view(
             raise ValueError("motion: expected a pure rotation in a panorama")
         half = float(np.abs(np.arctan2(*_directions(camera, Ts)[:, ::2].T)).max()) + 0.1
         high = float(np.abs(_heights(_directions(camera, Ts))).max()) + 0.1
-        texture = painter(rng, (-half, -high, half, high), texel)
+        texture = _paint(painter, rng, (-half, -high, half, high), texel)
         return PanoramaView(grid, texture), Ts[:, :3, :3]
     return PlaneView(grid, _painted(camera, plane, painter, Ts, distances, rng)), homographies(Ts, plane)
 
@@ -298,7 +335,22 @@ def _painted(
     """Return the texture of what is ever in view of a wall."""
     # Nearly two texels a pixel where the camera is near: an edge's place is then good to a few hundredths of a pixel.
     texel = 0.6 / max(camera.fx, camera.fy) * float(np.percentile(distances, 5))
-    return painter(rng, visible_bounds(camera, homographies(Ts, plane)), texel)
+    return _paint(painter, rng, visible_bounds(camera, homographies(Ts, plane)), texel)
+
+
+def _paint(painter: Painter, rng: np.random.Generator, bounds: Bounds, texel: float) -> Texture:
+    """Return the texture of a rectangle.
+
+    Raises:
+        ValueError: it would not fit into memory.
+    """
+    across, down = (bounds[2] - bounds[0]) / texel, (bounds[3] - bounds[1]) / texel
+    if not across * down <= _MOST_TEXELS:
+        raise ValueError(
+            f"size, distance, tilt_deg: the scene would be painted {across:,.0f} by {down:,.0f} points large: take a "
+            "smaller sensor, a smaller tilt or a larger distance"
+        )
+    return painter(rng, bounds, texel)
 
 
 def wall_relief(
@@ -314,7 +366,7 @@ def wall_relief(
     """Return the wall that `simulate` paints for the same arguments as a scene with depth: one rectangle."""
     plane = wall(distance, tilt_deg)
     coarse_s = np.linspace(0, seconds, int(np.ceil(seconds * 1000)) + 1)
-    distances = _distances(path(coarse_s), plane)
+    distances = _distances(path, coarse_s, plane)
     if distances.min() < 0.02 * distance:
         raise ValueError(f"motion: the camera comes within {distances.min():.3f} m of the wall")
     times = step_times(image_speed(path, camera, plane, coarse_s), coarse_s)

@@ -54,7 +54,8 @@ def tum_motion(path: Path, *, relative: bool = True) -> SplineMotion:
     """
     poses = read_tum(path, repair=True)
     if len(poses) < 2:
-        raise FormatError("holds a single pose", path=path, hint="give a trajectory of at least two poses")
+        message = "holds fewer than two poses whose times increase"
+        raise FormatError(message, path=path, hint="give a trajectory of at least two poses, sorted by time")
     if relative:
         Ts = se3.inverse(poses.Ts_world_camera[0]) @ poses.Ts_world_camera
         poses = Trajectory(t_us=poses.t_us, Ts_world_camera=Ts)

@@ -232,6 +232,9 @@ RELIEF_DISPLACEMENT_PX: Final = 5.0
 # Contrast by contrast without motion below which a window says nothing.
 RELIEF_GAIN: Final = 1.03
 
+# A camera is placed by hand within so many plane distances of the first one.
+PLACE_MOST: Final = 1e3
+
 # --- gyroscope ----------------------------------------------------------------------------------------------
 # Standard deviation of a bias that nobody knows yet, rad/s: that of rotdisk's sensor is 0.056.
 GYRO_BIAS_RAD_S: Final = 0.05
@@ -249,6 +252,14 @@ GYRO_GAP_US: Final = 50_000
 # How fast the position grows uncertain while nothing is seen, plane distances a second, and how far.
 GYRO_DRIFT: Final = 0.1
 GYRO_DRIFT_MOST: Final = 0.15
+# A gyroscope is believed after what it says of so long (s) was seen too, and forsaken when it says something else. It
+# may be off by a bias (five times its deviation), and by a share of the rate: scale, and a few milliseconds of delay.
+GYRO_CHECK_S: Final = 0.1
+GYRO_OFF_RAD_S: Final = 0.3
+GYRO_OFF_SHARE: Final = 0.15
+# Agreements that are remembered, and those that are wanted of one that was forsaken (of 0.1 s each).
+GYRO_TRUST_MOST: Final = 3
+GYRO_TRUST_AGAIN: Final = 5
 
 # --- failures -----------------------------------------------------------------------------------------------
 FAILURE_EVENTS: Final = 300

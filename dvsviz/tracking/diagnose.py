@@ -73,7 +73,7 @@ class Judgement:
 
 def confidence(ratio: float, condition: float, inside: float) -> float:
     """Return a confidence (0 to 1) from the score's ratio to good scores, the condition and the share inside."""
-    by_score = 1.0 / (1.0 + np.exp(-12.0 * (ratio - c.WEAK_RATIO)))
+    by_score = 1.0 / (1.0 + np.exp(np.clip(-12.0 * (ratio - c.WEAK_RATIO), -50.0, 50.0)))
     by_condition = 1.0 / (1.0 + condition / c.WEAK_CONDITION)
     return float(np.clip(by_score * by_condition * min(1.0, inside / 0.8), 0.0, 1.0))
 

@@ -117,7 +117,7 @@ class PoseFinder:
             omega = solution.omega
             velocity = se3.exp_so3(omega * (mid_us - window.start_us) * 1e-6).T @ solution.velocity
         prior = None
-        if self.gyro is not None and self.gyro.covers(self.motion.t_us, mid_us):
+        if self.gyro is not None and self.gyro.knows(self.motion.t_us, mid_us):
             turn = self.gyro.turn(self.motion.t_us, mid_us)
             predicted[:3, :3] = self.motion.T_world_camera[:3, :3] @ turn
             omega, velocity = self.gyro.rate(mid_us), turn.T @ self.motion.velocity
@@ -150,7 +150,7 @@ class PoseFinder:
     ) -> tuple[Trace, diagnose.Judgement] | None:
         """Return a window that says nothing, turned on by the gyroscope where the camera was last seen; else None."""
         motion, gyro = self.motion, self.gyro
-        if gyro is None or alignment is None or not gyro.covers(motion.t_us, trace.mid_us):
+        if gyro is None or alignment is None or not gyro.knows(motion.t_us, trace.mid_us):
             return None
         agreed = diagnose.agreement(self.mapper.live_map, alignment.value, trace.T_world_camera, self.camera)
         says_nothing = trace.events < c.FAILURE_EVENTS or images.edge_pixels < c.TEXTURE_EDGE_PIXELS
@@ -166,16 +166,30 @@ class PoseFinder:
         unknown = diagnose.Judgement.unknown()
         return trace, replace(unknown, score=agreed.score, is_trusted=is_new and not says_nothing)
 
-    def learn_bias(self, trace: Trace) -> None:
-        """Let the gyroscope's bias follow well-tracked rotations."""
+    def learn_bias(self, trace: Trace, was: Status) -> str:
+        """Let the gyroscope's bias follow well-tracked rotations, and check it by them.
+
+        Args:
+            trace: the window.
+            was: the status before it.
+
+        Returns:
+            What is to be said of the gyroscope, mostly nothing.
+        """
         if self.gyro is None:
-            return
+            return ""
+        said = ""
+        if self.motion.status is Status.LOST and was not in (Status.LOST, Status.RELOCALIZING):
+            said = self.gyro.doubt("led to a loss") if self.gyro.trust > 0 else ""
+        elif self.motion.status in (Status.TRACKING, Status.INITIALIZING):
+            said = self.gyro.check(trace.mid_us, trace.T_world_camera[:3, :3])
         if self.motion.status in (Status.TRACKING, Status.WEAK, Status.INITIALIZING):
             self.gyro.seen_us = trace.mid_us
         if self.motion.status is Status.TRACKING and self.mapper.refinements > 0:
             self.gyro.learn(trace.mid_us, trace.T_world_camera[:3, :3])
-        else:
+        elif self.motion.status is not Status.INITIALIZING:
             self.gyro.forget_anchor()
+        return said
 
     def _agreed(self, alignment: Alignment) -> float:
         """Return the chance-normalised score of an alignment."""

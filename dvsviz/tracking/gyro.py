@@ -27,6 +27,7 @@ class Gyro:
     Attributes:
         bias: (3,), rad/s, that is subtracted.
         variance: of each of its axes, (rad/s)².
+        trust: how often it lately agreed with what was seen; it is used above 0.
         seen_us: when a window last said something of its own; the prediction has grown old since then.
     """
 
@@ -34,9 +35,17 @@ class Gyro:
         self._t_us, self._rates = imu.t_us, imu.gyro
         self.bias: Array = np.zeros(3)
         self.variance = c.GYRO_BIAS_RAD_S**2
+        self.trust = 0
         self.seen_us = 0
         self._anchor_us = -1
         self._anchor: Array = np.eye(3)
+        self._checked_us = -1
+        self._checked: Array = np.eye(3)
+        self._is_told = False
+
+    def knows(self, start_us: int, end_us: int) -> bool:
+        """Return whether what it says of the time in between is believed."""
+        return self.trust > 0 and self.covers(start_us, end_us)
 
     def covers(self, start_us: int, end_us: int) -> bool:
         """Return whether there are samples all the way from one time to another."""
@@ -86,9 +95,35 @@ class Gyro:
             self.variance *= 1.0 - gain
         self._anchor_us, self._anchor = t_us, R_world_camera.copy()
 
+    def check(self, t_us: int, R_world_camera: Array) -> str:
+        """Take a well-tracked orientation (3, 3); return what is to be said where trust was lost, mostly nothing."""
+        seconds = (t_us - self._checked_us) * 1e-6
+        if self._checked_us >= 0 and seconds < c.GYRO_CHECK_S:
+            return ""
+        said = ""
+        if self._checked_us >= 0 and seconds < 2 * c.GYRO_CHECK_S and self.covers(self._checked_us, t_us):
+            tracked = self._checked.T @ R_world_camera
+            off = se3.rotation_angle(self.turn(self._checked_us, t_us).T @ tracked) / seconds
+            bound = c.GYRO_OFF_RAD_S + c.GYRO_OFF_SHARE * se3.rotation_angle(tracked) / seconds
+            if off <= bound:
+                self.trust = min(self.trust + 1, c.GYRO_TRUST_MOST)
+            else:
+                said = self.doubt(f"turns {off:.2g} rad/s off what is seen")
+        self._checked_us, self._checked = t_us, R_world_camera.copy()
+        return said
+
+    def doubt(self, why: str) -> str:
+        """Trust it less; return what is to be said the first time that it is not used because of it."""
+        least = 1 - c.GYRO_TRUST_AGAIN
+        self.trust = least if self.trust == 1 else max(self.trust - 1, least)
+        if self.trust > least:
+            return ""
+        told, self._is_told = self._is_told, True
+        return "" if told else f"the gyroscope {why}: it is left out until it agrees again"
+
     def forget_anchor(self) -> None:
         """Begin the next half second anew: the poses were re-expressed, or nothing was seen."""
-        self._anchor_us = -1
+        self._anchor_us, self._checked_us = -1, -1
 
     def pack(self) -> dict[str, np.ndarray]:
         """Return the state as arrays."""
@@ -96,6 +131,8 @@ class Gyro:
             "gyro_bias": np.array([*self.bias, self.variance]),
             "gyro_times": np.array([self.seen_us, self._anchor_us], dtype=np.int64),
             "gyro_anchor": self._anchor,
+            "gyro_trust": np.array([self.trust, self._checked_us, self._is_told], dtype=np.int64),
+            "gyro_checked": self._checked,
         }
 
     def unpack(self, state: Mapping[str, np.ndarray]) -> None:
@@ -103,6 +140,11 @@ class Gyro:
         self.bias, self.variance = np.array(state["gyro_bias"][:3]), float(state["gyro_bias"][3])
         self.seen_us, self._anchor_us = (int(v) for v in state["gyro_times"])
         self._anchor = np.array(state["gyro_anchor"])
+        # Of a version that believed every gyroscope.
+        self.trust = c.GYRO_TRUST_MOST
+        if "gyro_trust" in state and "gyro_checked" in state:
+            self.trust, self._checked_us = (int(v) for v in state["gyro_trust"][:2])
+            self._is_told, self._checked = bool(state["gyro_trust"][2]), np.array(state["gyro_checked"])
 
 
 def prior_by_gyro(gyro: Gyro, seconds: float, unseen_s: float) -> Array:

@@ -25,6 +25,25 @@ from dvsviz.tracking.traces import Trace
 
 Array = NDArray[np.float64]
 _VERSION = 3
+# One number that is none would be in every pose that follows.
+_FINITE = (
+    "T_world_camera",
+    "omega",
+    "velocity",
+    "covariance",
+    "density",
+    "numbers",
+    "normal_world",
+    "distance",
+    "faces",
+    "trace_poses",
+    "trace_velocities",
+    "map_votes",
+    "map_exposure",
+    "map_origin",
+    "gyro_bias",
+    "gyro_anchor",
+)
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
@@ -164,6 +183,7 @@ def unpack(
     try:
         if int(state["version"][0]) != _VERSION:
             raise ValueError(f"state: expected version {_VERSION}, got {int(state['version'][0])}")
+        _check_finite(state)
         t_us, status, bad, searches, refinements, revision, tried_at, revision_at = (
             int(v) for v in state["counters"]
         )
@@ -224,6 +244,14 @@ def unpack(
         )
     except KeyError as error:
         raise ValueError(f"state: expected an array {error}, got none") from error
+    except (IndexError, TypeError) as error:
+        raise ValueError(f"state: expected the arrays of a tracker ({error})") from error
+
+
+def _check_finite(state: Mapping[str, np.ndarray]) -> None:
+    for name in _FINITE:
+        if name in state and not np.isfinite(np.asarray(state[name], dtype=np.float64)).all():
+            raise ValueError(f"state: expected finite numbers in {name}")
 
 
 def _trace(integers: np.ndarray, T: Array, speeds: Array, camera: Camera, seed: int, source: EventSource) -> Trace:

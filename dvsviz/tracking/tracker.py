@@ -20,8 +20,10 @@ from numpy.typing import NDArray
 
 from dvsviz.config import TrackerConfig
 from dvsviz.contrast.iwe import sample_window
+from dvsviz.events.inertial import usable_imu
 from dvsviz.events.recording import EventSource, Imu
 from dvsviz.events.windows import EventWindow
+from dvsviz.geometry import se3
 from dvsviz.geometry.camera import Camera
 from dvsviz.session.records import Status, TrackerUpdates, WindowResult
 from dvsviz.tracking import constants as c
@@ -61,7 +63,8 @@ class Tracker:
         self._motion = Motion.start(self._free)
         self.stretch = 1.0
         self._failures = FailureWatch()
-        self._gyro = Gyro(imu) if imu is not None and self.config.imu == "auto" and len(imu.t_us) > 1 else None
+        usable = usable_imu(imu)[0] if imu is not None and self.config.imu == "auto" else None
+        self._gyro = None if usable is None else Gyro(usable)
         self._finder = PoseFinder(
             camera=self.camera,
             config=self.config,
@@ -92,7 +95,7 @@ class Tracker:
         clock = time.perf_counter()
         sampled = sample_window(window, c.TRACE_EVENTS, self.config.seed)
         mid_us = window.start_us + (window.end_us - window.start_us) // 2
-        note = ""
+        note, was = "", self._motion.status
         if self._relief is not None and (self._relief.is_asked or self._drifts):
             note = self._relief.look(window)
             if self._relief.not_a_plane and not self._is_uneven:
@@ -122,7 +125,9 @@ class Tracker:
                 images,
                 None if relief is None else relief.gain,
             )
-            self._finder.learn_bias(trace)
+            doubted = self._finder.learn_bias(trace, was)
+            if doubted:
+                self._mapper.log(window.index, "warning", doubted)
         if judged.note:
             note = judged.note
         overlap = diagnose.overlap(self._mapper.live_map, images, trace.T_world_camera, self.camera)
@@ -232,9 +237,18 @@ class Tracker:
 
         Args:
             T_world_camera: pose (4, 4), world (first camera's frame, in plane distances) from camera.
+
+        Raises:
+            ValueError: it is no pose, or one that sees nothing of the plane because it lies behind it or far off.
         """
+        T = se3.checked_pose(T_world_camera, "T_world_camera")
+        if not float(np.abs(T[:3, 3]).max()) <= c.PLACE_MOST:
+            raise ValueError(f"T_world_camera: expected a position within {c.PLACE_MOST:g} plane distances")
+        plane = self._mapper.plane
+        if self._free[3:].any() and float(plane.normal @ T[:3, 3]) + plane.distance <= 0:
+            raise ValueError("T_world_camera: expected a camera before the plane, it lies behind it")
         motion = self._motion
-        motion.T_world_camera = np.array(T_world_camera, dtype=np.float64)
+        motion.T_world_camera = T
         motion.omega, motion.velocity = np.zeros(3), np.zeros(3)
         motion.filter.forget()
         self._finder.is_placed = True
