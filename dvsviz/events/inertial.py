@@ -26,11 +26,12 @@ def usable_imu(imu: Imu) -> tuple[Imu | None, tuple[str, ...]]:
         if count:
             said.append(f"imu: {count} of {total} rates {what} and are not used")
     if not (finite & slow).all():
-        t_us, gyro, accel = (column[finite & slow] for column in (t_us, gyro, accel))
+        good = finite & slow
+        t_us, gyro, accel = t_us[good], gyro[good], accel[good]
     if (t_us[1:] < t_us[:-1]).any():
         said.append("imu: its times run backwards and are sorted")
         order = np.argsort(t_us, kind="stable")
-        t_us, gyro, accel = (column[order] for column in (t_us, gyro, accel))
+        t_us, gyro, accel = t_us[order], gyro[order], accel[order]
     if (t_us[1:] == t_us[:-1]).any():
         t_us, first = np.unique(t_us, return_index=True)
         gyro, accel = gyro[first], accel[first]

@@ -180,8 +180,9 @@ def whole_from(value: object, name: str) -> int:
 
 def whole_or_none(value: object) -> int | None:
     """Return a number that answers are marked by, None where it is none that a page counts to."""
-    is_whole = isinstance(value, int) and not isinstance(value, bool)
-    return value if is_whole and abs(value) <= _MOST_COUNTED else None
+    if not isinstance(value, int) or isinstance(value, bool):
+        return None
+    return value if abs(value) <= _MOST_COUNTED else None
 
 
 def _object(values: object, name: str) -> dict[str, Any]:
