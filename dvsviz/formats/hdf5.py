@@ -268,7 +268,8 @@ def _imu(file: h5py.File, path: Path) -> Imu | None:
     hint = "write it anew, or leave it out with --repair"
     t, gyro = (_numbers(file, f"imu/{name}", path, kinds, hint) for name, kinds in (("t", "iu"), ("gyro", "iuf")))
     # Many sensors have a gyroscope alone.
-    has_accel = not isinstance(file["imu"], h5py.Group) or "accel" in file["imu"]
+    group = file["imu"]
+    has_accel = not isinstance(group, h5py.Group) or "accel" in group
     accel = _numbers(file, "imu/accel", path, "iuf", hint) if has_accel else np.full_like(gyro, np.nan, np.float64)
     if t.ndim != 1 or gyro.shape != (len(t), 3) or accel.shape != (len(t), 3):
         found = f"t {t.shape}, gyro {gyro.shape}, accel {accel.shape}"

@@ -72,7 +72,10 @@ class PlanarMap:
         self.origin = np.asarray(origin, dtype=np.float64)
         self.votes: Image = np.zeros((rows, cols), dtype=np.float32)
         self.exposure: Image = np.zeros((rows // b, cols // b), dtype=np.float32)
-        self._levels = [_Level(image=np.zeros_like(self.votes), dirty=(0, 0, rows, cols)) for _ in c.ALIGN_BLURS_PX]
+        # M itself, and blurred.
+        self._sharp, *self._levels = (
+            _Level(image=np.zeros_like(self.votes), dirty=(0, 0, rows, cols)) for _ in (0, *c.ALIGN_BLURS_PX)
+        )
         self.adds = 0
         self.density = 0.0
         self._is_density_due = True
@@ -110,7 +113,7 @@ class PlanarMap:
         self.votes = np.pad(self.votes, ((top, bottom), (left, right)))
         self.exposure = np.pad(self.exposure, ((top // b, bottom // b), (left // b, right // b)))
         self.origin = self.origin - np.array([left, top]) / s
-        for level in self._levels:
+        for level in (self._sharp, *self._levels):
             level.image = np.pad(level.image, ((top, bottom), (left, right)))
             if level.dirty is not None:
                 r0, c0, r1, c1 = level.dirty
@@ -161,7 +164,7 @@ class PlanarMap:
             self.freeze_px,
         )
         r0, c0, r1, c1 = (int(v) * c.EXPOSURE_CELL_PX for v in box)
-        for level in self._levels if r1 > r0 else ():
+        for level in (self._sharp, *self._levels) if r1 > r0 else ():
             d = level.dirty or (r0, c0, r1, c1)
             level.dirty = (min(d[0], r0), min(d[1], c0), max(d[2], r1), max(d[3], c1))
 
@@ -176,26 +179,47 @@ class PlanarMap:
             self.density = occupied_percentile(self.votes, self.exposure, c.EXPOSURE_CELL_PX, 0.9)
             self._is_density_due = False
         level = self._levels[number]
-        if level.density == self.density and level.dirty is None:
+        box = self._stale(level)
+        if box is None or self.density <= 0:
             return level.image
-        rows, cols = self.votes.shape
-        # Another saturation changes every cell: the levels depend on the votes alone, not on when they were asked for.
-        box = level.dirty if level.density == self.density else None
-        r0, c0, r1, c1 = box or (0, 0, rows, cols)
-        level.density, level.dirty = self.density, None
-        if self.density <= 0:
-            return level.image
+        edge = self._edge()
+        rows, cols = edge.shape
+        r0, c0, r1, c1 = box
         sigma = c.ALIGN_BLURS_PX[number]
         # OpenCV's Gaussian reaches 4 sigma for float images.
         pad = int(4 * sigma) + 1
         # A halo of one blur around what changed, and one more to blur it from.
         a0, b0, a1, b1 = max(0, r0 - pad), max(0, c0 - pad), min(rows, r1 + pad), min(cols, c1 + pad)
         s0, t0, s1, t1 = max(0, a0 - pad), max(0, b0 - pad), min(rows, a1 + pad), min(cols, b1 + pad)
-        blurred = cv2.GaussianBlur(self._edge(s0, t0, s1, t1), (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
+        blurred = cv2.GaussianBlur(edge[s0:s1, t0:t1], (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
         # A thin line loses its height to the blur: brought back, so that each level still reaches about 1.
-        gain = np.float32(min(1.0 + 1.5 * sigma, 4.0))
-        np.minimum(blurred[a0 - s0 : a1 - s0, b0 - t0 : b1 - t0] * gain, 1.0, out=level.image[a0:a1, b0:b1])
+        blurred *= np.float32(min(1.0 + 1.5 * sigma, 4.0))
+        cv2.threshold(
+            blurred[a0 - s0 : a1 - s0, b0 - t0 : b1 - t0],
+            1.0,
+            1.0,
+            cv2.THRESH_TRUNC,
+            dst=level.image[a0:a1, b0:b1],
+        )
         return level.image
+
+    def _stale(self, level: _Level) -> tuple[int, int, int, int] | None:
+        """Return the box of cells in which an image must be made anew, and take it as made."""
+        if level.density == self.density and level.dirty is None:
+            return None
+        # Another saturation changes every cell: the images depend on the votes alone, not on when they were asked for.
+        box = level.dirty if level.density == self.density else None
+        level.density, level.dirty = self.density, None
+        return box or (0, 0, *self.votes.shape)
+
+    def _edge(self) -> Image:
+        """Return M (eq. above), up to date."""
+        box = self._stale(self._sharp)
+        if box is not None and self.density > 0:
+            r0, c0, r1, c1 = box
+            k = c.MAP_SATURATION / self.density
+            edge_block(self.votes, self.exposure, c.EXPOSURE_CELL_PX, r0, c0, k, self._sharp.image[r0:r1, c0:c1])
+        return self._sharp.image
 
     def settle(self, adds: int | None = None, density: float | None = None) -> None:
         """Measure the density anew when it is next asked for; or take over a stored count of windows and density."""
@@ -203,18 +227,12 @@ class PlanarMap:
         if adds is not None and density is not None:
             self.adds, self.density = adds, density
 
-    def _edge(self, r0: int, c0: int, r1: int, c1: int) -> Image:
-        """Return M (eq. above) of a block of cells."""
-        out = np.empty((r1 - r0, c1 - c0), dtype=np.float32)
-        edge_block(self.votes, self.exposure, c.EXPOSURE_CELL_PX, r0, c0, c.MAP_SATURATION / self.density, out)
-        return out
-
     def edge_image(self) -> Image:
         """Return M in [0, 1] (rows, columns), not blurred."""
         self.level(-1)
         if self.density <= 0:
             return np.zeros_like(self.votes)
-        return self._edge(0, 0, *self.votes.shape)
+        return self._edge().copy()
 
     def revision(self, number: int, window: int) -> MapRevision:
         """Return the map as it stands, cut to what was written, as a frozen record."""
@@ -307,16 +325,32 @@ def add_exposure(exposure, start, end, K, height, width, block, limit):
     return r0, c0, r1, c1
 
 
+# 1 - exp(-x) at steps of 1 / 256 up to 16, for linear interpolation: exact to 2e-6, and six times faster than exp.
+_STEPS = 256
+_SATURATED = (1.0 - np.exp(-np.arange(16 * _STEPS + 2) / _STEPS)).astype(np.float32)
+
+
 @numba.njit(cache=True, nogil=True)
 def edge_block(votes, exposure, block, r0, c0, k, out):
     """Write M = 1 - exp(-k votes / (exposure + 1)) of the block of cells that starts at (r0, c0)."""
-    for r in range(out.shape[0]):
-        for q in range(out.shape[1]):
+    rows, cols = out.shape
+    last = 16 * _STEPS
+    by_exposure = np.empty(cols, dtype=np.float32)
+    for r in range(rows):
+        if r == 0 or (r0 + r) % block == 0:
+            row = exposure[(r0 + r) // block]
+            for q in range(cols):
+                if q == 0 or (c0 + q) % block == 0:
+                    share = np.float32(_STEPS * k / (row[(c0 + q) // block] + 1.0))
+                by_exposure[q] = share
+        for q in range(cols):
             v = votes[r0 + r, c0 + q]
-            if v <= 0.0:
-                out[r, q] = 0.0
+            if v > 0.0:
+                x = min(v * by_exposure[q], last)
+                i = int(x)
+                out[r, q] = _SATURATED[i] + (x - i) * (_SATURATED[i + 1] - _SATURATED[i])
             else:
-                out[r, q] = 1.0 - np.exp(-k * v / (exposure[(r0 + r) // block, (c0 + q) // block] + 1.0))
+                out[r, q] = 0.0
 
 
 @numba.njit(cache=True, nogil=True)
