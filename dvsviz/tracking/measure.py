@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,8 +54,8 @@ def measure(camera: Camera, plane: Plane, window: EventWindow, trace: Trace) -> 
     warp = trace.warp(plane, K @ np.linalg.inv(homography_map_camera(trace.T_world_camera, plane)))
     vote_window(
         window.bearings,
-        window.events.t_us,
-        window.events.is_positive,
+        _frozen(window.events.t_us),
+        _frozen(window.events.is_positive),
         -(-len(window) // c.MEASURE_EVENTS),
         window.start_us,
         warp.nodes,
@@ -73,3 +74,10 @@ def measure(camera: Camera, plane: Plane, window: EventWindow, trace: Trace) -> 
         edge_pixels=edges,
         displacement_px=float(mean_displacement(warp.nodes[0], warp.nodes[-1], K, camera.width, camera.height)),
     )
+
+
+def _frozen(array: NDArray[Any]) -> NDArray[Any]:
+    """Return a read-only view: a kernel is compiled for one kind of array, whoever made it."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
