@@ -38,7 +38,11 @@ const FLASH_MS = 6000;
 const RELOAD_MS = 3000;
 
 const socket = new Socket();
-const seeker = new Seeker((message) => socket.send(message));
+const seeker = new Seeker((message) => {
+  const isSent = socket.send(message);
+  if (isSent) scene.hold();
+  return isSent;
+});
 const timeline = new Timeline();
 const images = new Images((message) => viewing.shown(message));
 const transport = new Transport(state, (window) => viewing.seek(window));

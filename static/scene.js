@@ -2,6 +2,7 @@
 // because a frame of the same origin shares the page's thread.
 
 import { byId, make } from "./dom.js";
+import { FrameGate } from "./framegate.js";
 
 const PATIENCE_MS = 1500;
 
@@ -17,6 +18,7 @@ function isSoftware() {
 
 export class Scene {
   #frame = null;
+  #gate = null; // of a scene that is drawn by the processor
   #timer = 0;
   #wanted = null;
   #isMissing = false; // the browser draws no 3-D
@@ -36,6 +38,16 @@ export class Scene {
     });
     byId("reset-view").addEventListener("click", () => this.reset());
     state.watch(["shown"], () => state.shown !== null && this.#load());
+  }
+
+  /** Images are under way, and a scene that shares the page's processor waits for them. */
+  hold() {
+    this.#gate?.hold();
+  }
+
+  /** They are on the screen, or will not come. */
+  release() {
+    this.#gate?.release();
   }
 
   /** The address of the tab's scene is known; it is loaded after the first images, or when they do not come. */
@@ -64,6 +76,7 @@ export class Scene {
       style.addEventListener("load", () => this.#frame.classList.add("ready"));
       this.#frame.contentDocument.head.append(style);
     });
+    if (software) this.#frame.addEventListener("load", () => (this.#gate = new FrameGate(this.#frame.contentWindow)));
     // The keys of the page work in the scene too, unless it wants them for a field of its own.
     this.#frame.addEventListener("load", () => {
       this.#frame.contentWindow.addEventListener("keydown", (event) => {

@@ -110,6 +110,7 @@ export class Viewing {
     if (message.session !== this.state.session) return;
     this.#painted = message.request;
     this.state.set({ shown: message.images.length ? message.window : null, values: message.values });
+    if (message.request >= this.seeker.request) this.scene.release();
     window.dispatchEvent(new CustomEvent("dvsviz-shown", { detail: { window: message.window, at: performance.now() } }));
     const ready = this.#waiting.filter(({ request }) => request <= message.request);
     this.#waiting = this.#waiting.filter(({ request }) => request > message.request);
@@ -125,6 +126,7 @@ export class Viewing {
 
   /** The server could not draw what was asked for. */
   failed(request, why) {
+    this.scene.release();
     const over = this.#waiting.filter((waiting) => waiting.request <= request);
     this.#waiting = this.#waiting.filter((waiting) => waiting.request > request);
     for (const { reject } of over) reject(new Error(why));

@@ -212,3 +212,34 @@ def test_bookmarks_are_kept_in_the_session_and_keyframes_are_jumped_to(dashboard
     panel.get_by_role("button", name="Take away the bookmark at window 77").click()
     panel.get_by_text("No bookmarks yet").wait_for()
     assert not dashboard.problems
+
+
+_GATE = """async () => {
+  const { FrameGate } = await import("/static/framegate.js");
+  const frames = [], ran = [];
+  const scene = { requestAnimationFrame: (call) => frames.push(call), reportError: (error) => ran.push(String(error)) };
+  const gate = new FrameGate(scene);
+  const next = () => frames.splice(0).forEach((call) => call(0));
+  const turn = () => new Promise((resolve) => setTimeout(resolve, 20));
+  scene.requestAnimationFrame(() => ran.push("first"));
+  next();
+  await turn();
+  gate.hold();
+  scene.requestAnimationFrame(() => ran.push("second"));
+  scene.cancelAnimationFrame(scene.requestAnimationFrame(() => ran.push("never")));
+  const held = frames.length;
+  gate.release();
+  const released = frames.length;
+  next();
+  await turn();
+  gate.hold();
+  scene.requestAnimationFrame(() => ran.push("third"));
+  while (!frames.length) await turn();
+  next();
+  return { ran, held, released };
+}"""
+
+
+def test_frames_of_a_scene_drawn_by_the_processor_wait_for_images_but_not_for_ever(dashboard: Dashboard) -> None:
+    dashboard.enter("barcode", 3)
+    assert dashboard.page.evaluate(_GATE) == {"ran": ["first", "second", "third"], "held": 0, "released": 1}
