@@ -214,20 +214,24 @@ def test_depth_moves_to_where_the_colour_camera_sees_it() -> None:
 def real_runs(data_dir: Path) -> dict[str, Any]:
     frames = open_frames(data_dir / "rgbd")
     assert frames.warnings
-    runs: Any = study(frames, ("none", "pnp-iterative", "kabsch-weighted"), (5,))
+    runs: Any = study(frames, ("none", "pnp-iterative", "pnp-icp", "kabsch-weighted"), (5,))
     return {run.row.method: run.row for run in runs} | {"runs": runs}
 
 
 @pytest.mark.data
 def test_real_frames(real_runs: dict) -> None:
-    none, pnp, kabsch = (real_runs[name] for name in ("none", "pnp-iterative", "kabsch-weighted"))
+    names = ("none", "pnp-iterative", "pnp-icp", "kabsch-weighted")
+    none, pnp, icp, kabsch = (real_runs[name] for name in names)
     assert none.relative_translation_m == pytest.approx(0.0232, abs=5e-4)
     assert np.rad2deg(none.relative_rotation_rad) == pytest.approx(3.34, abs=0.05)
     assert pnp.failures == kabsch.failures == 0
     # docs/registration.md says what holds the translation of PnP above a quarter.
-    assert pnp.relative_rotation_rad < none.relative_rotation_rad / 4
-    assert pnp.relative_translation_m < 0.55 * none.relative_translation_m
-    assert kabsch.relative_rotation_rad < none.relative_rotation_rad / 8
+    assert pnp.relative_rotation_rad < none.relative_rotation_rad / 7
+    assert pnp.relative_translation_m < 0.6 * none.relative_translation_m
+    # 0.9 degrees of one step were a lost depth image: see `association`.
+    assert icp.relative_rotation_rad < none.relative_rotation_rad / 16
+    assert icp.relative_translation_m < 0.28 * none.relative_translation_m
+    assert kabsch.relative_rotation_rad < none.relative_rotation_rad / 11
     assert kabsch.relative_translation_m < 0.3 * none.relative_translation_m
 
 
@@ -235,13 +239,13 @@ def test_real_frames(real_runs: dict) -> None:
 def test_tables_hold_the_same_numbers(real_runs: dict) -> None:
     rows = [run.row for run in real_runs["runs"]]
     loaded = json.loads(format_table(rows, "json"))
-    assert [row["method"] for row in loaded] == ["none", "pnp-iterative", "kabsch-weighted"]
+    assert [row["method"] for row in loaded] == ["none", "pnp-iterative", "pnp-icp", "kabsch-weighted"]
     assert loaded[1]["relative_rotation_rad"] == rows[1].relative_rotation_rad
     again = list(csv.DictReader(format_table(rows, "csv").splitlines()))
     assert float(again[1]["relative_translation_m"]) == rows[1].relative_translation_m
     text = format_table(rows).splitlines()
-    assert len(text) == 5
+    assert len(text) == 6
     assert f"{rows[1].relative_translation_m:.4f} ± " in text[3]
     latex = format_table(rows, "latex")
-    assert latex.count(r"\\") == 4
+    assert latex.count(r"\\") == 5
     assert r"$\pm$" in latex

@@ -21,6 +21,7 @@ from dvsviz.geometry import se3
 from dvsviz.geometry.camera import Camera
 from dvsviz.geometry.trajectory import Trajectory
 from dvsviz.geometry.tum import microseconds, read_tum
+from dvsviz.registration.association import colour_offsets
 from dvsviz.registration.rig import Rig, edge_agreement, kinect
 
 # TUM's own tool for joining colour and depth allows 20 ms.
@@ -107,7 +108,16 @@ class FileFrames:
         Raises:
             FormatError: an image is missing, of another size, or a depth image has not 16 bits.
         """
-        grey = _image(self.grey_paths[index], cv2.IMREAD_GRAYSCALE, self.camera)
+        return Frame(
+            index=index, t_us=int(self.t_us[index]), grey=self.read_grey(index), depth=self.read_depth(index)
+        )
+
+    def read_grey(self, index: int) -> NDArray[np.uint8]:
+        """Return the intensity (height, width) of frame `index`."""
+        return _image(self.grey_paths[index], cv2.IMREAD_GRAYSCALE, self.camera)
+
+    def read_depth(self, index: int) -> NDArray[np.float32] | None:
+        """Return the depth (height, width) of frame `index`, None where it has none."""
         path = self.depth_paths[index]
         depth = None
         if path is not None:
@@ -120,7 +130,7 @@ class FileFrames:
             is_measured = (raw > 0) & (raw < 65535)
             depth = np.where(is_measured, raw.astype(np.float32) / np.float32(self.depth_scale), np.float32(np.nan))
             depth = depth if self.rig is None else self.rig.depth_in_colour(depth)
-        return Frame(index=index, t_us=int(self.t_us[index]), grey=grey, depth=depth)
+        return depth
 
 
 class RecordingFrames:
@@ -176,7 +186,8 @@ def open_frames(
     candidates = _candidates(path)
     for folder in candidates:
         if any(_FRAME_NAME.search(p.name) for p in folder.glob("frame-*.color.png")):
-            return _with_rig(_open_numbered(folder, calibration, depth_scale or FOLDER_DEPTH_SCALE), rig)
+            numbered = _open_numbered(folder, calibration, depth_scale or FOLDER_DEPTH_SCALE)
+            return _joined(_with_rig(numbered, rig))
     for folder in candidates:
         if (folder / "rgb.txt").is_file():
             frames = _open_tum(folder, calibration, depth_scale or TUM_DEPTH_SCALE)
@@ -219,6 +230,32 @@ def _with_rig(frames: FileFrames, kind: RigKind) -> FileFrames:
         T_depth_colour = se3.inverse(rig.T_colour_depth)
         truth = Trajectory(t_us=truth.t_us, Ts_world_camera=truth.Ts_world_camera @ T_depth_colour)
     return replace(frames, camera=rig.colour, ground_truth=truth, rig=rig, warnings=warnings)
+
+
+def _joined(frames: FileFrames) -> FileFrames:
+    """Return numbered frames, each with the colour image that was taken with its depth and its pose."""
+    regular = np.ptp(np.diff(frames.t_us)) <= 1 if len(frames.t_us) > 2 else False
+    if not regular or all(path is None for path in frames.depth_paths):
+        return frames
+    offsets = colour_offsets(len(frames.t_us), frames.read_grey, frames.read_depth)
+    if not offsets.any():
+        return frames
+    colour = np.arange(len(offsets)) + offsets
+    # A colour image that was lost leaves its depth without one; the image before it has its own.
+    kept = (colour >= 0) & (colour < len(colour)) & np.r_[True, np.diff(colour) > 0]
+    changes = np.flatnonzero(np.diff(offsets, prepend=0))
+    told = ", ".join(f"{frames.grey_paths[k].name} (by {offsets[k]:+d})" for k in changes[:5])
+    warning = (
+        "one stream lost images: depth steps lie on the outlines of colour images with other numbers, from "
+        f"{told}{' …' if len(changes) > 5 else ''} on; joined so, {int((~kept).sum())} without a colour image left out"
+    )
+    return replace(
+        frames,
+        t_us=frames.t_us[kept],
+        grey_paths=tuple(frames.grey_paths[k] for k in colour[kept]),
+        depth_paths=tuple(frames.depth_paths[k] for k in np.flatnonzero(kept)),
+        warnings=(*frames.warnings, warning),
+    )
 
 
 def _open_numbered(folder: Path, calibration: Path | None, depth_scale: float) -> FileFrames:

@@ -22,6 +22,8 @@ _KINECT_COLOUR_FOCAL = 525.0
 _KINECT_OFFSET_M = 0.025
 # A pixel is at a depth step where neighbours differ by more than this share of the depth.
 _STEP_SHARE = 0.05
+# Fewer pixels at depth steps say nothing.
+_MIN_STEPS = 50
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -81,13 +83,24 @@ def edge_agreement(grey: NDArray[np.uint8], depth: NDArray[np.float32]) -> float
 
     It needs no poses: aligned depth steps lie on the outlines of objects. NaN where the depth has no steps.
     """
+    steps, is_measured = depth_steps(depth)
+    if steps is None:
+        return float("nan")
+    outline = outlines(grey)
+    return float(outline[steps].mean() / outline[is_measured].mean())
+
+
+def outlines(grey: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Return how strong the edges of an image (height, width) are, a little blurred."""
     gradient = np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1))
-    gradient = cv2.GaussianBlur(gradient, (0, 0), 1.5)
+    return np.asarray(cv2.GaussianBlur(gradient, (0, 0), 1.5), dtype=np.float32)
+
+
+def depth_steps(depth: NDArray[np.float32]) -> tuple[NDArray[np.bool_] | None, NDArray[np.bool_]]:
+    """Return where a depth image (height, width) steps, None for too few places, and where it was measured."""
     z = np.where(np.isfinite(depth), depth, np.float32(0))
     nearest = cv2.erode(np.where(z > 0, z, np.float32(1e3)), np.ones((3, 3), np.uint8))
     farthest = cv2.dilate(z, np.ones((3, 3), np.uint8))
     is_measured = cv2.erode((z > 0).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     steps = is_measured & (farthest - nearest > _STEP_SHARE * nearest)
-    if steps.sum() < 50:
-        return float("nan")
-    return float(gradient[steps].mean() / gradient[is_measured].mean())
+    return (steps if steps.sum() >= _MIN_STEPS else None), is_measured

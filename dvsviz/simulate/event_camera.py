@@ -62,8 +62,8 @@ class EventCameraModel:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _sense(
-    image, active, everywhere, columns, level, seen, memory, free_s, on, off, leak, block_s, t1, tau, refractory,
-    out_s, out_x, out_y, out_p, count, first_block,
+    image, last, active, everywhere, columns, level, seen, memory, free_s, on, off, leak, block_s, t1, tau,
+    refractory, out_s, out_x, out_y, out_p, count, first_block,
 ):  # fmt: skip
     """Advance the blocks to time t1; return the block to go on with (their number when done) and the event count."""
     height, width = image.shape
@@ -81,30 +81,37 @@ def _sense(
         row0, column0 = block // columns * BLOCK, block % columns * BLOCK
         for row in range(row0, min(row0 + BLOCK, height)):
             for column in range(column0, min(column0 + BLOCK, width)):
-                x0, x1 = level[row, column], np.float64(np.log(image[row, column]))
-                level[row, column] = x1
-                y0, y1 = seen[row, column], x1
+                # Unsigned, or every access asks whether it counts from the end.
+                r, c = np.uint64(row), np.uint64(column)
+                x0, light = level[r, c], image[r, c]
+                x1 = x0
+                # Flat surfaces are of the same light to the bit: no logarithm is taken twice.
+                if light != last[r, c]:
+                    last[r, c] = light
+                    x1 = np.float64(np.log(light))
+                    level[r, c] = x1
+                y0, y1 = x0, x1
                 if tau > 0.0:
                     # Response of a first-order low-pass to a straight line.
-                    lag = (x1 - x0) / dt * tau
+                    y0, lag = seen[r, c], (x1 - x0) / dt * tau
                     y1 = x1 - lag + (y0 - x0 + lag) * decay
-                seen[row, column] = y1
-                a, b = y0 + leak[row, column] * t0, y1 + leak[row, column] * t1
+                    seen[r, c] = y1
+                a, b = y0 + leak[r, c] * t0, y1 + leak[r, c] * t1
                 if a == b:
                     continue
-                free = free_s[row, column]
+                free = free_s[r, c]
                 if free >= t1:
-                    memory[row, column] = b
+                    memory[r, c] = b
                     continue
-                held, since = memory[row, column], t0
+                held, since = memory[r, c], t0
                 if free <= t0:
                     # Most pixels see no event in a step.
-                    if held - off[row, column] < b < held + on[row, column]:
+                    if held - off[r, c] < b < held + on[r, c]:
                         continue
                 else:
                     held, since = a + (b - a) * (free - t0) / dt, free
                 slope = (b - a) / dt
-                threshold = on[row, column] if slope > 0.0 else -off[row, column]
+                threshold = on[r, c] if slope > 0.0 else -off[r, c]
                 for _ in range(_MOST_A_STEP):
                     target = held + threshold
                     if (slope > 0.0 and target > b) or (slope < 0.0 and target < b):
@@ -115,12 +122,12 @@ def _sense(
                     held = target
                     if refractory > 0.0:
                         since = t + refractory
-                        free_s[row, column] = since
+                        free_s[r, c] = since
                         if since >= t1:
                             held = b
                             break
                         held = a + slope * (since - t0)
-                memory[row, column] = held
+                memory[r, c] = held
     return len(block_s), count
 
 
@@ -163,6 +170,7 @@ class EventCamera:
         self._leak = np.zeros(shape)
         if model.leak_hz > 0:
             self._leak = model.leak_hz * model.threshold_on * rng.lognormal(-0.045, 0.3, shape)
+        self._last = image.copy()
         self._level = np.log(image).astype(np.float64)
         self._seen = self._level.copy()
         # Memorised at an unknown time before: anywhere between the thresholds, as in a sensor that has run a while.
@@ -198,8 +206,8 @@ class EventCamera:
         block = 0
         while True:
             block, self._count = _sense(
-                image, flags, everywhere, self._columns, self._level, self._seen, self._memory, self._free_s,
-                self._on, self._off, self._leak, self._block_s, t_s, tau, self._model.refractory_s,
+                image, self._last, flags, everywhere, self._columns, self._level, self._seen, self._memory,
+                self._free_s, self._on, self._off, self._leak, self._block_s, t_s, tau, self._model.refractory_s,
                 self._s, self._x, self._y, self._p, self._count, block,
             )  # fmt: skip
             if block == len(self._block_s):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from dvsviz.simulate.render import BLOCK, bilinear
+from dvsviz.simulate.render import BLOCK, bilinear, bilinear_inside
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -128,8 +128,12 @@ def _fill_block(bearings, H, texel, texels, data, offsets, shapes, row0, column0
             x, y = bearings[row, column, 0], bearings[row, column, 1]
             w = 1.0 / (h20 * x + h21 * y + h22)
             u, v = np.float32((h00 * x + h01 * y + h02) * w), np.float32((h10 * x + h11 * y + h12) * w)
-            fine = bilinear(data, offset_a, rows_a, columns_a, u - half, v - half, inside)
-            coarse = bilinear(data, offset_b, rows_b, columns_b, half * u - half, half * v - half, inside)
+            if inside:
+                fine = bilinear_inside(data, offset_a, columns_a, u - half, v - half)
+                coarse = bilinear_inside(data, offset_b, columns_b, half * u - half, half * v - half)
+            else:
+                fine = bilinear(data, offset_a, rows_a, columns_a, u - half, v - half, False)
+                coarse = bilinear(data, offset_b, rows_b, columns_b, half * u - half, half * v - half, False)
             image[row, column] = fine + part * (coarse - fine)
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from dvsviz.events.events import Events, joined
 from dvsviz.formats.hdf5 import RecordingWriter
 from dvsviz.geometry import se3
 from dvsviz.geometry.camera import Camera
@@ -46,8 +47,10 @@ _MOST_TEXELS = 300_000_000
 # Long motions are looked at in parts of so many poses.
 _PART = 1 << 17
 LONGEST_S = 36_000
-# Events are sorted and written in pieces of this length.
+# Events are sorted in pieces of this length.
 _FLUSH_S = 0.02
+# They are written in pieces of at least so many: every piece packs the last chunk of each column anew, 1 ms in all.
+_WRITE_EVENTS = 1 << 17
 _TRUTH_HZ = 500.0
 # The wall ends this far from the camera's first axis: tilted walls reach the horizon.
 _WALL_LIMIT_M = 6.0
@@ -235,6 +238,7 @@ def simulate(
     first_us: int | None = None
     last_us = 0
     next_flush_s, next_frame_s = _FLUSH_S, 0.0
+    unwritten: list[Events] = []
     with RecordingWriter(out, camera=camera) as writer:
         for k, t in enumerate(times):
             flush, frame = t >= next_flush_s or k == len(times) - 1, frames_hz > 0 and t >= next_frame_s
@@ -248,7 +252,10 @@ def simulate(
                 if len(events):
                     first_us = int(events.t_us[0]) if first_us is None else first_us
                     last_us = int(events.t_us[-1])
-                    writer.append(events)
+                    unwritten.append(events)
+                if unwritten and (k == len(times) - 1 or sum(map(len, unwritten)) >= _WRITE_EVENTS):
+                    writer.append(joined(unwritten))
+                    unwritten = []
                 next_flush_s = t + _FLUSH_S
                 if progress is not None:
                     progress(float(t / seconds))
