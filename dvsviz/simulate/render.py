@@ -245,8 +245,8 @@ class PlaneView:
         u, v, texels, reach = self._placed
         _place_blocks(self._rays, grid.block_area, H, abs(_determinant(H)), u, v, texels, reach)
         _render_plane(
-            *self._bearings, u, v, texels, reach, grid.columns, H, texture.data, texture.offsets, texture.shapes,
-            clearance, skips, self._last, still_px, image, active,
+            self._bearings[0], self._bearings[1], u, v, texels, reach, grid.columns, H,
+            texture.data, texture.offsets, texture.shapes, clearance, skips, self._last, still_px, image, active,
         )  # fmt: skip
 
 
