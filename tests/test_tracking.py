@@ -10,8 +10,9 @@ import pytest
 from dvsviz.config import TrackerConfig
 from dvsviz.contrast.warp import map_warp
 from dvsviz.evaluate.evaluate import evaluate
+from dvsviz.events.events import Events
 from dvsviz.events.recording import Recording
-from dvsviz.events.windows import EventWindow, windows
+from dvsviz.events.windows import EventWindow, make_window, windows
 from dvsviz.formats.open import open_recording
 from dvsviz.geometry import se3
 from dvsviz.geometry.camera import Camera
@@ -30,10 +31,12 @@ from dvsviz.tracking import constants as c
 from dvsviz.tracking.align import align, free_parameters
 from dvsviz.tracking.diagnose import in_words, weakest
 from dvsviz.tracking.kernels import map_nodes
+from dvsviz.tracking.measure import measure
 from dvsviz.tracking.normal_equations import landmark_jacobians, solve_positive
 from dvsviz.tracking.planar_map import PlanarMap
 from dvsviz.tracking.refine import View, refine
 from dvsviz.tracking.relocalize import relocalize
+from dvsviz.tracking.traces import Trace
 from dvsviz.tracking.tracker import Tracker
 from dvsviz.tracking.translation import deviation_from_plane
 
@@ -275,6 +278,43 @@ def seen(points_map: np.ndarray, T: np.ndarray, plane: Plane) -> np.ndarray:
     p = (map_to_world(points_map, plane) - T[:3, 3]) @ T[:3, :3]
     b = p[:, :2] / p[:, 2:]
     return b[(p[:, 2] > 0) & (np.abs(b) < (0.58, 0.43)).all(axis=1)]
+
+
+def edge_pixels(camera: Camera, window: EventWindow) -> int:
+    """How many pixels of a window's image hold an edge, without motion: what a lost tracker looks for by."""
+    trace = Trace(
+        window=window.index, first_event=0, start_us=window.start_us, mid_us=window.start_us,
+        duration_s=window.duration_s, T_world_camera=np.eye(4), omega=np.zeros(3), velocity=np.zeros(3),
+        bearings=window.bearings, t_s=window.t_s, events=len(window),
+    )  # fmt: skip
+    return measure(camera, Plane(normal=np.array([0.0, 0.0, -1.0])), window, trace).edge_pixels
+
+
+def test_noise_is_no_place_to_come_back_to(recording: Recording) -> None:
+    tracker = Tracker(recording.camera)
+    last = None
+    for window in windows(recording, lambda: tracker.window_size):
+        last = tracker.step(window)
+        if last.window == 40:
+            break
+    assert last is not None
+    assert last.status in (Status.TRACKING, Status.WEAK)
+    rng = np.random.default_rng(0)
+    for index in range(41, 60):
+        start_us = last.end_us + (index - 41) * 100_000
+        noise = Events(
+            t_us=start_us + np.sort(rng.integers(0, 100_000, 480)),
+            x_px=rng.integers(0, 240, 480).astype(np.uint16),
+            y_px=rng.integers(0, 180, 480).astype(np.uint16),
+            is_positive=rng.random(480) < 0.5,
+        )
+        covered = make_window(recording.camera, noise, index=index, end_us=start_us + 100_000)
+        assert (
+            edge_pixels(recording.camera, covered) < c.STRIPES_EDGE_PIXELS < edge_pixels(recording.camera, window)
+        )
+        result = tracker.step(covered)
+        assert "relocalized" not in result.note
+    assert result.status is Status.LOST
 
 
 def test_alignment_recovers_a_displaced_pose() -> None:

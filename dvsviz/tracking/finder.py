@@ -25,7 +25,7 @@ from dvsviz.tracking.by_contrast import follow_by_contrast
 from dvsviz.tracking.failures import FailureWatch
 from dvsviz.tracking.gyro import Gyro, prior_by_gyro
 from dvsviz.tracking.mapping import Mapper
-from dvsviz.tracking.measure import WindowImages
+from dvsviz.tracking.measure import WindowImages, measure
 from dvsviz.tracking.prediction import difference
 from dvsviz.tracking.relocalize import relocalize
 from dvsviz.tracking.state import Motion
@@ -250,6 +250,11 @@ class PoseFinder:
         if mid_us - self.motion.t_us < c.RELOCALIZE_EVERY_US * self.motion.searches:
             return self.trace(window, sampled, mid_us, self.motion.T_world_camera), None, ""
         self.motion.searches += 1
+        self.motion.omega, self.motion.velocity = np.zeros(3), np.zeros(3)
+        trace = self.trace(window, sampled, mid_us, self.motion.T_world_camera)
+        if measure(self.camera, self.mapper.plane, window, trace).edge_pixels < c.STRIPES_EDGE_PIXELS:
+            # A covered lens shows noise: whatever it lay on would be chance.
+            return trace, None, ""
         solution = self.contrast(window)
         mid_s = (mid_us - window.start_us) * 1e-6
         self.motion.omega = solution.omega
