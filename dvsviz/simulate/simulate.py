@@ -28,24 +28,15 @@ from dvsviz.simulate.paths import AnyMotion, AnyScene, make_path, make_scene
 from dvsviz.simulate.relief import Patch, Relief, ReliefView
 from dvsviz.simulate.render import BLOCK, PixelGrid, PlaneView
 from dvsviz.simulate.scenes import Bounds, Painter
+from dvsviz.simulate.steps import LONGEST_STEP_S, PART, border_bearings, image_speed, step_times
 from dvsviz.simulate.texture import Texture
 
 Array = NDArray[np.float64]
 
-# Largest image motion between two rendered images, px: an edge is a few pixels wide, so a straight line between
-# images puts events within a few hundredths of a pixel.
-STEP_PX = 0.4
 # Parts of the image that move slower than the fastest one wait until they have moved by this much, px.
 STILL_PX = 0.3
-_LONGEST_STEP_S = 5e-3
-# So many images are ten hours of a still camera; their poses and homographies take 2 GB.
-_MOST_STEPS = 10_000_000
-# At 80,000 px/s a hand's shake is beyond every lens; only views of nearly 180 degrees move as fast.
-_MOST_STEPS_A_SECOND = 200_000
 # A texture's levels, and what is painted into them, take some 30 B a texel.
 _MOST_TEXELS = 300_000_000
-# Long motions are looked at in parts of so many poses.
-_PART = 1 << 17
 LONGEST_S = 36_000
 # Events are sorted in pieces of this length.
 _FLUSH_S = 0.02
@@ -54,8 +45,6 @@ _WRITE_EVENTS = 1 << 17
 _TRUTH_HZ = 500.0
 # The wall ends this far from the camera's first axis: tilted walls reach the horizon.
 _WALL_LIMIT_M = 6.0
-# The camera does not come nearer to a surface of a scene with depth.
-_NEAREST_M = 0.08
 
 
 def default_camera() -> Camera:
@@ -91,67 +80,11 @@ def homographies(Ts_world_camera: Array, plane_world: Plane) -> Array:
     return H / np.array([[1.0], [1.0], [plane_world.distance]])
 
 
-def border_bearings(camera: Camera, count: int = 9) -> Array:
-    """Return bearings (M, 3) along the border of the image and at its centre."""
-    x, y = np.linspace(0, camera.width - 1, count), np.linspace(0, camera.height - 1, count)
-    px = [(a, b) for a in x for b in (0, camera.height - 1)] + [(a, b) for a in (0, camera.width - 1) for b in y]
-    b = camera.bearings([*px, ((camera.width - 1) / 2, (camera.height - 1) / 2)])
-    return np.column_stack([b, np.ones(len(b))])
-
-
-def image_speed(
-    motion: Motion, camera: Camera, plane_world: Plane | None, t_s: Array, relief: ReliefView | None = None
-) -> Array:
-    """Return the largest speed (N,), px/s, of the scene's points over the image; a panorama without a plane."""
-    if len(t_s) > _PART:
-        parts = [t_s[k : k + _PART] for k in range(0, len(t_s), _PART)]
-        return np.concatenate([image_speed(motion, camera, plane_world, part, relief) for part in parts])
-    b = border_bearings(camera) if relief is None else inner_bearings(camera)
-    dt = 5e-4
-    T0, T1 = motion(t_s), motion(t_s + dt)
-    T_10 = se3.inverse(T1) @ T0
-    inverse_depth = np.zeros((len(t_s), len(b)))
-    if plane_world is not None:
-        n = np.einsum("nji,j->ni", T0[:, :3, :3], plane_world.normal)
-        d = plane_world.distance + T0[:, :3, 3] @ plane_world.normal
-        inverse_depth = np.clip(-(n @ b.T) / np.maximum(d, 1e-3)[:, None], 0, None)
-    if relief is not None:
-        inverse_depth = 1 / np.stack([np.nan_to_num(relief.depth(T, b[:, :2]), nan=np.inf) for T in T0])
-        if inverse_depth.max() > 1 / _NEAREST_M:
-            raise ValueError(f"motion: the camera comes within {1 / inverse_depth.max():.3f} m of a surface")
-    p = np.einsum("nij,mj->nmi", T_10[:, :3, :3], b) + inverse_depth[:, :, None] * T_10[:, None, :3, 3]
-    moved = p[:, :, :2] / p[:, :, 2:] - b[:, :2]
-    return np.hypot(moved[..., 0] * camera.fx, moved[..., 1] * camera.fy).max(axis=1) / dt
-
-
-def inner_bearings(camera: Camera, columns: int = 13, rows: int = 10) -> Array:
-    """Return bearings (M, 3) all over the image: the nearest surface of a scene with depth may be anywhere."""
-    x, y = np.meshgrid(np.linspace(0, camera.width - 1, columns), np.linspace(0, camera.height - 1, rows))
-    b = camera.bearings(np.column_stack([x.ravel(), y.ravel()]))
-    return np.column_stack([b, np.ones(len(b))])
-
-
-def step_times(speed: Array, t_s: Array, longest_s: float = _LONGEST_STEP_S) -> Array:
-    """Return times from the first to the last of `t_s`, between which the image moves at most `STEP_PX`."""
-    # The largest of neighbours: speed between two samples is not above it by more than its curvature.
-    peak = np.maximum(speed, np.maximum(np.roll(speed, 1), np.roll(speed, -1)))
-    per_s = np.maximum(peak * 1.05 / STEP_PX, 1 / longest_s)
-    steps = np.concatenate([[0.0], np.cumsum((per_s[1:] + per_s[:-1]) / 2 * np.diff(t_s))])
-    most = min(_MOST_STEPS, 1000 + _MOST_STEPS_A_SECOND * (t_s[-1] - t_s[0]))
-    if not steps[-1] <= most:
-        raise ValueError(
-            f"motion, size: {steps[-1]:,.0f} images would be needed, at most {most:,.0f} are drawn: the image moves "
-            "too fast, or for too long"
-        )
-    return np.interp(np.linspace(0, steps[-1], int(np.ceil(steps[-1])) + 1), steps, t_s)
-
-
 def visible_bounds(camera: Camera, Hs_map_camera: Array, margin: float = 0.1) -> Bounds:
     """Return the wall's rectangle (left, top, right, bottom), m, that is ever in view of the camera."""
-    if len(Hs_map_camera) > _PART:
+    if len(Hs_map_camera) > PART:
         found = [
-            visible_bounds(camera, Hs_map_camera[k : k + _PART], margin)
-            for k in range(0, len(Hs_map_camera), _PART)
+            visible_bounds(camera, Hs_map_camera[k : k + PART], margin) for k in range(0, len(Hs_map_camera), PART)
         ]
         left, top, right, bottom = zip(*found, strict=True)
         return min(left), min(top), max(right), max(bottom)
@@ -222,7 +155,7 @@ def simulate(
         raise ValueError(f"motion: the camera comes within {distances.min():.3f} m of the wall")
     sensor = EventCameraModel() if sensor is None else sensor
     times = step_times(
-        image_speed(path, camera, plane, coarse_s, seen), coarse_s, min(_LONGEST_STEP_S, sensor.settling_s)
+        image_speed(path, camera, plane, coarse_s, seen), coarse_s, min(LONGEST_STEP_S, sensor.settling_s)
     )
     if cover is not None:
         extra = cover.step_times()
@@ -316,7 +249,7 @@ def _distances(path: Motion, t_s: Array, plane: Plane | None) -> Array:
     """Return the camera's distances (N,) to the wall, m, at times; infinite to a panorama."""
     if plane is None:
         return np.full(len(t_s), np.inf)
-    parts = [path(t_s[k : k + _PART])[:, :3, 3] @ plane.normal for k in range(0, len(t_s), _PART)]
+    parts = [path(t_s[k : k + PART])[:, :3, 3] @ plane.normal for k in range(0, len(t_s), PART)]
     return plane.distance + np.concatenate(parts)
 
 
