@@ -8,6 +8,8 @@ from dvsviz.events.recording import Imu, Recording
 
 # The widest range of small gyroscopes is 4,000 degrees/s.
 MOST_RAD_S = 70.0
+# So long before the first event or after the last one: streams of one clock may begin and end at other moments.
+_ANOTHER_CLOCK_US = 1_000_000
 
 
 def usable_imu(imu: Imu) -> tuple[Imu | None, tuple[str, ...]]:
@@ -46,6 +48,9 @@ def imu_warnings(recording: Recording) -> tuple[str, ...]:
     if recording.imu is None:
         return ()
     imu, said = usable_imu(recording.imu)
-    if imu is None or (int(imu.t_us[0]) <= recording.last_us and int(imu.t_us[-1]) >= recording.first_us):
+    if imu is None:
+        return said
+    apart_us = max(int(imu.t_us[0]) - recording.last_us, recording.first_us - int(imu.t_us[-1]))
+    if apart_us <= _ANOTHER_CLOCK_US:
         return said
     return (*said, "imu: not used, its times are not those of the events: is it on another clock?")
