@@ -23,6 +23,10 @@ Array = NDArray[np.float64]
 Image = NDArray[np.float32]
 
 
+# Cells that the widest processors blur at once.
+_LANES = 16
+
+
 @dataclass(slots=True, kw_only=True, eq=False)
 class _Level:
     """A blurred edge image.
@@ -191,6 +195,8 @@ class PlanarMap:
         # A halo of one blur around what changed, and one more to blur it from.
         a0, b0, a1, b1 = max(0, r0 - pad), max(0, c0 - pad), min(rows, r1 + pad), min(cols, c1 + pad)
         s0, t0, s1, t1 = max(0, a0 - pad), max(0, b0 - pad), min(rows, a1 + pad), min(cols, b1 + pad)
+        # Whole vectors: a cell is rounded alike wherever the block begins, and a restored map is the same to the bit.
+        t0, t1 = t0 // _LANES * _LANES, min(cols, -(-t1 // _LANES) * _LANES)
         blurred = cv2.GaussianBlur(edge[s0:s1, t0:t1], (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
         # A thin line loses its height to the blur: brought back, so that each level still reaches about 1.
         blurred *= np.float32(min(1.0 + 1.5 * sigma, 4.0))
