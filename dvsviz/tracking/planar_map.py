@@ -146,7 +146,7 @@ class PlanarMap:
         """
         self.adds += 1
         self._is_density_due |= self.adds <= c.DENSITY_AFTER or self.adds % c.DENSITY_EVERY == 0
-        frozen_vote(
+        written = frozen_vote(
             points,
             self.px_per_unit,
             self.origin,
@@ -167,7 +167,10 @@ class PlanarMap:
             c.EXPOSURE_CELL_PX,
             self.freeze_px,
         )
-        r0, c0, r1, c1 = (int(v) * c.EXPOSURE_CELL_PX for v in box)
+        seen = [int(v) * c.EXPOSURE_CELL_PX for v in box]
+        # Events may lie beyond what was in view when the window began.
+        low, high = np.minimum(written, seen)[:2], np.maximum(written, seen)[2:]
+        r0, c0, r1, c1 = (int(v) for v in (*low, *high))
         for level in (self._sharp, *self._levels) if r1 > r0 else ():
             d = level.dirty or (r0, c0, r1, c1)
             level.dirty = (min(d[0], r0), min(d[1], c0), max(d[2], r1), max(d[3], c1))
@@ -259,12 +262,20 @@ class PlanarMap:
 
 @numba.njit(cache=True, nogil=True)
 def frozen_vote(points, px_per_unit, origin, votes, exposure, block, limit, weight):
-    """Vote plane points (N, 2) bilinearly into `votes` where the block was swept by less than `limit` px."""
+    """Vote plane points (N, 2) bilinearly into `votes` where the block was swept by less than `limit` px.
+
+    Returns:
+        The box of cells that were written: first row, first column, end row, end column; empty where there are none.
+    """
     rows, cols = votes.shape
+    r0, c0, r1, c1 = rows, cols, 0, 0
     for i in range(points.shape[0]):
         x, y = (points[i, 0] - origin[0]) * px_per_unit, (points[i, 1] - origin[1]) * px_per_unit
         if is_inside(x, y, rows, cols) and exposure[int(y) // block, int(x) // block] <= limit:
             splat(votes, x, y, weight)
+            r0, c0 = min(r0, int(y)), min(c0, int(x))
+            r1, c1 = max(r1, int(y) + 2), max(c1, int(x) + 2)
+    return r0, c0, r1, c1
 
 
 @numba.njit(cache=True, nogil=True)
