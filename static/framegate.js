@@ -6,12 +6,14 @@
 
 const LONGEST_WAIT_MS = 150; // while images come without end (playing, dragging) the scene moves all the same
 const LONGEST_REST_MS = 120;
+const IN_HAND_MS = 1000; // after the pointer moved in the scene its frames do not wait: what is dragged follows the hand
 
 export class FrameGate {
   #heldSince = null; // when images were asked for that are not painted
   #restUntil = 0;
   #calls = new Map(); // number -> callback that waits for a frame
   #number = 0;
+  #inHandUntil = 0;
   #under = false;
   #timer = 0;
   #frame;
@@ -27,6 +29,14 @@ export class FrameGate {
       return this.#number;
     };
     window.cancelAnimationFrame = (number) => this.#calls.delete(number);
+    for (const event of ["pointermove", "pointerdown", "wheel"]) {
+      window.addEventListener(event, () => this.#take(), { capture: true, passive: true });
+    }
+  }
+
+  #take() {
+    this.#inHandUntil = this.#now() + IN_HAND_MS;
+    this.#pump();
   }
 
   /** Images are under way: frames wait. */
@@ -43,6 +53,7 @@ export class FrameGate {
   /** How long (ms) a frame has to wait yet. */
   #wait() {
     const now = this.#now();
+    if (now < this.#inHandUntil) return 0;
     const held = this.#heldSince === null ? 0 : this.#heldSince + LONGEST_WAIT_MS - now;
     return Math.max(0, held, this.#restUntil - now);
   }

@@ -216,8 +216,11 @@ def test_bookmarks_are_kept_in_the_session_and_keyframes_are_jumped_to(dashboard
 
 _GATE = """async () => {
   const { FrameGate } = await import("/static/framegate.js");
-  const frames = [], ran = [];
-  const scene = { requestAnimationFrame: (call) => frames.push(call), reportError: (error) => ran.push(String(error)) };
+  const frames = [], ran = [], hand = {};
+  const scene = {
+    requestAnimationFrame: (call) => frames.push(call), reportError: (error) => ran.push(String(error)),
+    addEventListener: (name, call) => (hand[name] = call),
+  };
   const gate = new FrameGate(scene);
   const next = () => frames.splice(0).forEach((call) => call(0));
   const turn = () => new Promise((resolve) => setTimeout(resolve, 20));
@@ -236,10 +239,22 @@ _GATE = """async () => {
   scene.requestAnimationFrame(() => ran.push("third"));
   while (!frames.length) await turn();
   next();
-  return { ran, held, released };
+  await turn();
+  gate.hold();
+  scene.requestAnimationFrame(() => ran.push("fourth"));
+  const before = frames.length;
+  hand.pointermove();
+  const inHand = frames.length - before;
+  return { ran, held, released, before, inHand };
 }"""
 
 
 def test_frames_of_a_scene_drawn_by_the_processor_wait_for_images_but_not_for_ever(dashboard: Dashboard) -> None:
     dashboard.enter("barcode", 3)
-    assert dashboard.page.evaluate(_GATE) == {"ran": ["first", "second", "third"], "held": 0, "released": 1}
+    assert dashboard.page.evaluate(_GATE) == {
+        "ran": ["first", "second", "third"],
+        "held": 0,
+        "released": 1,
+        "before": 0,
+        "inHand": 1,
+    }
