@@ -196,7 +196,7 @@ WEAK_CONDITION: Final = 3e4
 # larger of their two directions below which only stripes are seen: 0.02 to 0.06 on stripes, at least 0.48 on shapes
 # and posters.
 STRIPES_LEVEL: Final = 1
-STRIPES_COLUMNS: Final = 60
+STRIPES_COLUMNS: Final = 120
 STRIPES_SHARE: Final = 0.08
 # Share by which the running score follows each good window.
 SCORE_GAIN: Final = 0.05
