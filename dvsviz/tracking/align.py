@@ -13,7 +13,6 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from dvsviz.geometry import se3
 from dvsviz.geometry.plane import points_to_map
 from dvsviz.tracking import constants as c
 from dvsviz.tracking.kernels import exp_rotation
@@ -87,44 +86,28 @@ def align(
         first_level: 0 for the whole pyramid, more to start finer.
         iterations: steps at each level.
     """
-    plane = planar_map.plane
-    target = planar_map.projection @ points_to_map(plane)
-    if prior is None:
-        prior = default_prior()
-    R, p = T_world_camera[:3, :3].copy(), T_world_camera[:3, 3].copy()
-    R0, p0 = R.copy(), p.copy()
-    information = np.zeros((6, 6))
-    value, inside, steps, step_px = 0.0, 0.0, 0, 0.0
-    rays = np.empty((len(bearings), 3))
-    turned(bearings, t_s, omega, rays)
-    for i in range(first_level, len(c.ALIGN_BLURS_PX)):
-        value, inside, taken, step_px = _descend(
-            planar_map.level(i),
-            rays,
-            t_s,
-            R,
-            p,
-            R0,
-            p0,
-            velocity,
-            plane.normal,
-            plane.distance,
-            target,
-            free,
-            prior,
-            anchored,
-            iterations[i],
-            focal_px,
-            information,
-        )
-        steps += taken
+    Ts, found, information = _aligned(
+        planar_map,
+        bearings,
+        t_s,
+        np.array([0, len(bearings)]),
+        T_world_camera[None],
+        omega[None],
+        velocity[None],
+        free,
+        default_prior() if prior is None else prior,
+        anchored,
+        focal_px,
+        first_level,
+        iterations,
+    )
     return Alignment(
-        T_world_camera=se3.pose(R, p),
-        value=value,
-        inside=inside,
-        information=information / c.RESIDUAL_VARIANCE,
-        iterations=steps,
-        step_px=step_px,
+        T_world_camera=Ts[0],
+        value=float(found[0, 0]),
+        inside=float(found[0, 1]),
+        information=information[0] / c.RESIDUAL_VARIANCE,
+        iterations=int(found[0, 2]),
+        step_px=float(found[0, 3]),
     )
 
 
@@ -155,16 +138,54 @@ def align_each(
         anchored: as in `align`.
         first_level: as in `align`.
     """
-    plane = planar_map.plane
-    Ts = Ts_world_camera.copy()
-    _descend_each(
-        # Three images of one kind, whichever are used: one compiled kernel.
-        tuple(planar_map.level(max(i, first_level)) for i in range(len(c.ALIGN_BLURS_PX))),
-        np.array(c.ALIGN_ITERATIONS),
-        first_level,
+    Ts, _, _ = _aligned(
+        planar_map,
         np.concatenate(bearings),
         np.concatenate(t_s),
         np.cumsum([0, *map(len, bearings)]),
+        Ts_world_camera,
+        omega,
+        velocity,
+        free,
+        default_prior(),
+        anchored,
+        focal_px,
+        first_level,
+        c.ALIGN_ITERATIONS,
+    )
+    return Ts
+
+
+def _aligned(
+    planar_map: PlanarMap,
+    bearings: NDArray[np.float32],
+    t_s: Array,
+    first: NDArray[np.int64],
+    Ts_world_camera: Array,
+    omega: Array,
+    velocity: Array,
+    free: NDArray[np.bool_],
+    prior: Array,
+    anchored: float,
+    focal_px: float,
+    first_level: int,
+    iterations: tuple[int, ...],
+) -> tuple[Array, Array, Array]:
+    """Return of N windows poses (N, 4, 4), value, inside, steps and last step (N, 4), and normal matrices (N, 6, 6)."""
+    plane = planar_map.plane
+    Ts, found, information = (
+        Ts_world_camera.copy(),
+        np.zeros((len(Ts_world_camera), 4)),
+        np.zeros((len(Ts_world_camera), 6, 6)),
+    )
+    _descend_each(
+        # Three images of one kind, whichever are used: one compiled kernel.
+        tuple(planar_map.level(max(i, first_level)) for i in range(len(c.ALIGN_BLURS_PX))),
+        np.array(iterations),
+        first_level,
+        bearings,
+        t_s,
+        first,
         Ts,
         omega,
         velocity,
@@ -172,11 +193,13 @@ def align_each(
         plane.distance,
         planar_map.projection @ points_to_map(plane),
         free,
-        default_prior(),
+        prior,
         anchored,
         focal_px,
+        found,
+        information,
     )
-    return Ts
+    return Ts, found, information
 
 
 def thinned(count: int) -> NDArray[np.int64]:
@@ -281,9 +304,10 @@ def _descend_each(
     prior,
     anchored,
     focal_px,
+    found,
+    information,
 ):
     """Descend with each window (its events from `first[k]` on), level by level, moving its pose (4, 4) in place."""
-    information = np.zeros((6, 6))
     for k in range(Ts.shape[0]):
         a, b = first[k], first[k + 1]
         if a == b:
@@ -293,7 +317,7 @@ def _descend_each(
         R, p = Ts[k, :3, :3].copy(), Ts[k, :3, 3].copy()
         R0, p0 = R.copy(), p.copy()
         for i in range(first_level, len(images)):
-            _descend(
+            value, inside, taken, step_px = _descend(
                 images[i],
                 rays,
                 t_s[a:b],
@@ -310,7 +334,9 @@ def _descend_each(
                 anchored,
                 limits[i],
                 focal_px,
-                information,
+                information[k],
             )
+            found[k, 0], found[k, 1], found[k, 3] = value, inside, step_px
+            found[k, 2] += taken
         Ts[k, :3, :3] = R
         Ts[k, :3, 3] = p
