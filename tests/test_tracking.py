@@ -28,7 +28,7 @@ from dvsviz.geometry.trajectory import Trajectory
 from dvsviz.session.records import Failure, Status, WindowResult
 from dvsviz.simulate.simulate import simulate
 from dvsviz.tracking import constants as c
-from dvsviz.tracking.align import align, free_parameters
+from dvsviz.tracking.align import align, free_parameters, view_rays
 from dvsviz.tracking.diagnose import in_words, weakest
 from dvsviz.tracking.kernels import map_nodes
 from dvsviz.tracking.measure import measure
@@ -360,6 +360,43 @@ def test_alignment_recovers_a_displaced_pose() -> None:
         free=free_parameters("translation"),
     )
     assert np.array_equal(still.T_world_camera[:3, :3], truth[:3, :3])
+
+
+def test_noise_before_a_young_map_does_not_draw_the_camera_nearer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rings that are denser in the middle: by chance alone, events lie on more of the map the nearer the camera is."""
+    plane = Plane(normal=np.array([0.0, 0.0, -1.0]))
+    rng = np.random.default_rng(0)
+    angle, radius = rng.uniform(0, 2 * np.pi, (12, 3000)), np.linspace(0.05, 0.6, 12)[:, None]
+    points = np.column_stack([(radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()])
+    planar_map = PlanarMap(plane, 200.0, np.array([-0.9, -0.7]), (300, 380), freeze_px=np.inf)
+    view = homography_map_camera(np.eye(4), plane)
+    planar_map.add(points.astype(np.float32), view, view, (180, 240), CAMERA.matrix)
+    planar_map.exposure[:] = 1.0
+    noise = rng.uniform((-0.6, -0.45), (0.6, 0.45), (2000, 2)).astype(np.float32)
+
+    def nearer(rays: np.ndarray | None) -> float:
+        found = align(
+            planar_map,
+            noise,
+            np.linspace(-1e-3, 1e-3, len(noise)),
+            np.eye(4),
+            np.zeros(3),
+            np.zeros(3),
+            focal_px=200.0,
+            free=ALL,
+            prior=np.diag([0.05**-2] * 6),
+            view=rays,
+        )
+        return float(found.T_world_camera[2, 3])
+
+    free_flight = nearer(None)
+    assert free_flight > 0.2
+    assert nearer(view_rays(CAMERA)) < free_flight - 0.01
+    monkeypatch.setattr(c, "CHANCE_SHARE", 1.0)
+    assert abs(nearer(view_rays(CAMERA))) < 0.5 * free_flight
+    # A map that is written no more is not flown into: nothing is taken off.
+    planar_map.freeze_px = 0.5
+    assert nearer(view_rays(CAMERA)) == free_flight
 
 
 def test_refinement_recovers_poses_and_tilt() -> None:

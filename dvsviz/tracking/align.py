@@ -13,13 +13,16 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from dvsviz.geometry.plane import points_to_map
+from dvsviz.geometry.camera import Camera
+from dvsviz.geometry.plane import homography_map_camera, points_to_map
 from dvsviz.tracking import constants as c
-from dvsviz.tracking.kernels import exp_rotation
+from dvsviz.tracking.kernels import exp_rotation, still_written
 from dvsviz.tracking.planar_map import PlanarMap
 from dvsviz.tracking.pose_equations import pose_equations, turned
 
 Array = NDArray[np.float64]
+
+_VIEW_COLUMNS = 18
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -66,6 +69,7 @@ def align(
     free: NDArray[np.bool_],
     prior: Array | None = None,
     anchored: float = 0.0,
+    view: Array | None = None,
     first_level: int = 0,
     iterations: tuple[int, ...] = c.ALIGN_ITERATIONS,
 ) -> Alignment:
@@ -83,9 +87,15 @@ def align(
         prior: information matrix (6, 6) of the prediction; the default constants' where None.
         anchored: information of a pull towards the world's origin: decides, always in the same way, between turning and
             moving sideways as long as the map cannot.
+        view: rays (G, 3) of `view_rays`: what the map would gain by chance from a camera nearer to the plane does not
+            count where the map is still being written; None where it is not to be changed.
         first_level: 0 for the whole pyramid, more to start finer.
         iterations: steps at each level.
     """
+    young = np.zeros((0, 3))
+    if view is not None:
+        H = planar_map.projection @ homography_map_camera(T_world_camera, planar_map.plane)
+        young = still_written(view, H, planar_map.exposure, c.EXPOSURE_CELL_PX, planar_map.freeze_px)
     Ts, found, information = _aligned(
         planar_map,
         bearings,
@@ -100,6 +110,8 @@ def align(
         focal_px,
         first_level,
         iterations,
+        young,
+        0.0 if view is None else c.CHANCE_SHARE / len(view),
     )
     return Alignment(
         T_world_camera=Ts[0],
@@ -152,6 +164,8 @@ def align_each(
         focal_px,
         first_level,
         c.ALIGN_ITERATIONS,
+        np.zeros((0, 3)),
+        0.0,
     )
     return Ts
 
@@ -170,6 +184,8 @@ def _aligned(
     focal_px: float,
     first_level: int,
     iterations: tuple[int, ...],
+    young: Array,
+    by_chance: float,
 ) -> tuple[Array, Array, Array]:
     """Return of N windows poses (N, 4, 4), value, inside, steps and last step (N, 4), and normal matrices (N, 6, 6)."""
     plane = planar_map.plane
@@ -196,6 +212,8 @@ def _aligned(
         prior,
         anchored,
         focal_px,
+        young,
+        by_chance,
         found,
         information,
     )
@@ -206,6 +224,17 @@ def thinned(count: int) -> NDArray[np.int64]:
     """Return which (M,) of `count` events are aligned: at most `ALIGN_EVENTS`, evenly spread."""
     most = min(count, c.ALIGN_EVENTS)
     return (np.arange(most) * (count / max(1, most))).astype(np.int64)
+
+
+def view_rays(camera: Camera) -> Array:
+    """Return the rays (G, 3), camera frame, of a coarse grid over a camera's image."""
+    rows = max(2, round(_VIEW_COLUMNS * camera.height / camera.width))
+    x, y = np.meshgrid(
+        (np.arange(_VIEW_COLUMNS) + 0.5) * camera.width / _VIEW_COLUMNS - 0.5,
+        (np.arange(rows) + 0.5) * camera.height / rows - 0.5,
+    )
+    x, y = (x.ravel() - camera.cx) / camera.fx, (y.ravel() - camera.cy) / camera.fy
+    return np.column_stack([x, y, np.ones(len(x))])
 
 
 def default_prior() -> Array:
@@ -231,10 +260,13 @@ def _descend(
     anchored,
     limit,
     focal_px,
+    young,
+    by_chance,
     information,
 ):
     """Take up to `limit` damped Gauss-Newton steps on one level, moving R and p in place."""
     hessian, gradient = np.zeros((6, 6)), np.zeros(6)
+    unused, chance, at_once = np.zeros((6, 6)), np.zeros(6), np.zeros(young.shape[0])
     total, inside, taken, step_px = 0.0, 0, 0, 0.0
     for _ in range(limit):
         hessian[:] = 0.0
@@ -243,6 +275,14 @@ def _descend(
             rays, t_s, R, p, velocity, normal, distance, target, image, c.ALIGN_ROBUST, hessian, gradient
         )
         information[:] = hessian
+        if young.shape[0] > 0:
+            chance[:] = 0.0
+            pose_equations(
+                young, at_once, R, p, velocity, normal, distance, target, image, c.ALIGN_ROBUST, unused, chance
+            )
+            # Only along the normal, where events are drawn together.
+            n = R.T @ normal
+            gradient[3:] -= n * (by_chance * inside * (chance[3:] @ n))
         A = hessian + prior * c.RESIDUAL_VARIANCE
         # How far the pose has moved from the prediction, in the current camera frame: the prior pulls it back.
         offset = np.empty(6)
@@ -304,6 +344,8 @@ def _descend_each(
     prior,
     anchored,
     focal_px,
+    young,
+    by_chance,
     found,
     information,
 ):
@@ -334,6 +376,8 @@ def _descend_each(
                 anchored,
                 limits[i],
                 focal_px,
+                young,
+                by_chance,
                 information[k],
             )
             found[k, 0], found[k, 1], found[k, 3] = value, inside, step_px

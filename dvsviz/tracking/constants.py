@@ -37,6 +37,9 @@ PRIOR_POSITION: Final = 0.01
 RESIDUAL_VARIANCE: Final = 0.1
 # Standard deviation (rad, plane distances) of the pull to the first pose until the first refinement.
 ANCHOR: Final = 0.03
+# Share of what a view's edges by chance pull a camera towards the plane that is taken off where the map is written.
+# Without it rotdisk's camera flies into its map within a second; 1 costs accuracy where the texture is sparse.
+CHANCE_SHARE: Final = 0.5
 # A step below this image displacement, px, ends a level.
 ALIGN_STEP_PX: Final = 0.02
 

@@ -19,7 +19,7 @@ from dvsviz.geometry.plane import Plane
 from dvsviz.session.records import Status
 from dvsviz.tracking import constants as c
 from dvsviz.tracking import diagnose
-from dvsviz.tracking.align import Alignment, align, thinned
+from dvsviz.tracking.align import Alignment, align, thinned, view_rays
 from dvsviz.tracking.bootstrap import motion_by_contrast
 from dvsviz.tracking.by_contrast import follow_by_contrast
 from dvsviz.tracking.failures import FailureWatch
@@ -58,6 +58,11 @@ class PoseFinder:
     failures: FailureWatch
     gyro: Gyro | None
     is_placed: bool = False
+    _view: Array | None = None
+
+    def __post_init__(self) -> None:
+        # A camera that only turns cannot draw near.
+        self._view = view_rays(self.camera) if self.free[3:].any() else None
 
     def trace(
         self, window: EventWindow, sampled: tuple[NDArray[np.float32], Array], mid_us: int, T: Array
@@ -223,6 +228,7 @@ class PoseFinder:
             free=self.free,
             prior=prior,
             anchored=c.ANCHOR**-2 if self.motion.status is Status.INITIALIZING else 0.0,
+            view=self._view,
             first_level=first_level,
         )
 
