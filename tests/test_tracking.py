@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Future
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +37,7 @@ from dvsviz.tracking.measure import measure
 from dvsviz.tracking.normal_equations import landmark_jacobians, solve_positive
 from dvsviz.tracking.planar_map import PlanarMap
 from dvsviz.tracking.refine import View, refine
+from dvsviz.tracking.refining import Revised
 from dvsviz.tracking.relocalize import relocalize
 from dvsviz.tracking.traces import Trace
 from dvsviz.tracking.tracker import Tracker
@@ -196,6 +199,40 @@ def test_covered_lens_is_lost_and_found_without_polluting_the_map(tmp_path: Path
     assert lost[0].message
     assert states[-1] in (Status.TRACKING, Status.WEAK)
     assert len(set(votes_lost)) == 1, "the map was written while lost"
+
+
+def test_a_stream_waits_for_no_refinement(recording: Recording) -> None:
+    tracker = Tracker(recording.camera)
+    tracker.hurry()
+    mapper = tracker._mapper
+    pending: Future[Revised] = Future()
+    stream = windows(recording, lambda: tracker.window_size, max_duration_us=100_000)
+    for window in stream:
+        tracker.step(window)
+        if mapper.job is not None and mapper.job.future is not pending:
+            # From now on it takes for ever.
+            due, mapper.job = mapper.job, replace(mapper.job, future=pending)
+            land_at, began = mapper.job.land_at, window.index
+        if mapper.job is not None and window.index >= max(land_at, began) + 5:
+            break
+    assert mapper.job is not None and mapper.refinements == 0
+    pending.set_result(due.future.result())
+    tracker.step(next(iter(stream)))
+    assert mapper.job is None and mapper.refinements == 1
+
+
+def test_larger_windows_stay_larger_while_a_stream_is_behind(recording: Recording) -> None:
+    sizes = {}
+    for stretch in (1.0, 2.0):
+        tracker = Tracker(recording.camera)
+        tracker.stretch = stretch
+        counts = [
+            len(window)
+            for window in windows(recording, lambda tracker=tracker: tracker.window_size, max_duration_us=200_000)
+            if tracker.step(window).status is Status.TRACKING
+        ]
+        sizes[stretch] = np.median(counts)
+    assert 1.5 * sizes[1.0] < sizes[2.0] < 2.5 * sizes[1.0]
 
 
 def test_roll_of_a_real_disk(data_dir: Path, tmp_path: Path) -> None:

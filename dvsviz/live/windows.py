@@ -22,7 +22,7 @@ SLOW_LAG_US = 100_000
 RESUMED_LAG_US = 30_000
 """How long before the newest event the window starts that is made instead."""
 # The median of so many steps: a refinement, which takes as long as many windows, does not make a tracker a slow one.
-_STEPS = 9
+_STEPS = 31
 
 
 class LiveWindows:

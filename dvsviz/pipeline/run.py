@@ -246,6 +246,7 @@ class Run:
     def _windows(self) -> Iterable[EventWindow]:
         limit_us = round(self._config.max_window_ms * 1000)
         if isinstance(self._recording.events, LiveEvents):
+            self._tracker.hurry()
             self._live = LiveWindows(
                 self._recording,
                 lambda: self._tracker.window_size,

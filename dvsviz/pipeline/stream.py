@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -24,6 +25,8 @@ from dvsviz.tracking.warm_up import warm_up
 
 if TYPE_CHECKING:
     from dvsviz.export.rerun_viewer import RerunViewer
+
+_SWITCH_S = 5e-4
 
 
 def track_stream(
@@ -59,6 +62,8 @@ def track_stream(
         LiveError: there is no such stream or camera.
         DvsvizError: it ended without an event, or something cannot be written.
     """
+    # A thread that receives or refines gives way to the tracker soon, not after 5 ms.
+    sys.setswitchinterval(_SWITCH_S)
     # The kernels first: what a stream sends while they are compiled would come late.
     warm_up(config)
     first = connect(where)

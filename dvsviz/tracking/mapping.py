@@ -57,8 +57,8 @@ class Mapper:
         is_panorama: the camera only turns: the map has as many planes as its view needs.
     """
 
-    # Whether a refinement that the last one goes beyond may be left undone.
-    _may_drop = True
+    # May a refinement that the last one goes beyond be left undone; is a stream tracked, which does not wait?
+    _may_drop, is_live = True, False
 
     def __init__(
         self,
@@ -273,8 +273,8 @@ class Mapper:
     def advance(self, trace: Trace) -> Trace:
         """Begin a refinement that is due, merge one whose window has come; return the trace as it is known then.
 
-        A refinement runs beside the tracker and is merged at a window that was fixed when it began: how fast the
-        machine is does not change the result.
+        It is merged at a window that was fixed when it began: how fast the machine is does not change the result. A
+        live stream does not wait: there it is merged when it is ready.
         """
         if self.job is None and self._due():
             count = len(self.keyframes)
@@ -282,7 +282,7 @@ class Mapper:
                 len(self.traces), trace.window + c.REFINE_WINDOWS * max(0, count - c.REFINE_AT_ONCE)
             )
             self.tried_at = count
-        if self.job is None or trace.window < self.job.land_at:
+        if self.job is None or trace.window < self.job.land_at or (self.is_live and not self.job.future.done()):
             return trace
         self._merge(self.job)
         for kept in reversed(self.traces):

@@ -90,13 +90,17 @@ class Tracker:
         """What is known about the last pose."""
         return self._motion.status
 
+    def hurry(self) -> None:
+        """Never wait for a refinement, as before a live stream: results then depend on the machine's speed."""
+        self._mapper.is_live = True
+
     def step(self, window: EventWindow) -> WindowResult:
         """Return the result of one window; windows are given in order, each once."""
         clock = time.perf_counter()
         sampled = sample_window(window, c.TRACE_EVENTS, self.config.seed)
         mid_us = window.start_us + (window.end_us - window.start_us) // 2
         note, was = "", self._motion.status
-        if self._relief is not None and (self._relief.is_asked or self._drifts):
+        if self._relief is not None and (self._asks_relief or self._drifts):
             note = self._relief.look(window)
             if self._relief.not_a_plane and not self._is_uneven:
                 note = ""
@@ -170,7 +174,7 @@ class Tracker:
             wanted_px = c.WINDOW_DISPLACEMENT * self.camera.width
             if relief is not None or (self.config.motion != "planar" and self._is_undecided):
                 wanted_px = c.RELIEF_DISPLACEMENT_PX
-            self._motion.resize(images.displacement_px, wanted_px, self._most_events)
+            self._motion.resize(images.displacement_px, wanted_px * self.stretch, self._most_events)
         else:
             # What was believed of the motion before the loss made the windows too small to be found by.
             self._motion.size = max(self._motion.size, float(c.WINDOW_EVENTS_START))
@@ -213,6 +217,12 @@ class Tracker:
             self._mapper.tell(failed)
         self._mapper.finish(refine=not self._drifts)
         return self._mapper.take_updates()
+
+    @property
+    def _asks_relief(self) -> bool:
+        """True where a window is asked if the scene is a plane; a stream that is only told so is not held up by it."""
+        is_behind = self.stretch > 1.0 or self._mapper.job is not None
+        return self._is_undecided and not (self._mapper.is_live and self.config.motion == "planar" and is_behind)
 
     @property
     def _drifts(self) -> bool:
