@@ -37,8 +37,14 @@ def replaying(path: Path, speed: float, pipe: Connection) -> None:
         pipe.send(replay(recording, server, speed=speed))
 
 
-def told_windows(address: str, name: str, times: list[tuple[float, int]], stop: threading.Event) -> None:
-    """Take down when the server told that there were how many windows."""
+def told_windows(
+    address: str,
+    name: str,
+    poses: list[tuple[float, int]],
+    times: list[tuple[float, int]],
+    stop: threading.Event,
+) -> None:
+    """Take down when the server told the pose of the last of so many windows, and that there were so many to see."""
     from websockets.sync.client import connect
 
     base, token = address.split("/#token=")
@@ -71,6 +77,8 @@ def told_windows(address: str, name: str, times: list[tuple[float, int]], stop: 
                 options = {"session": name, "window": 0, "request": 1, "kinds": ["raw"], "options": {}}
                 socket.send(json.dumps({"type": "seek", **options}))
                 asked = True
+            if told["type"] == "pose":
+                poses.append((now, told["window"] + 1))
             if told["type"] == "grown":
                 times.append((now, told["windows"]))
 
@@ -111,10 +119,10 @@ def main() -> None:
             config=TrackerConfig(motion=given.motion),
         )
         dashboard = Dashboard(sessions_dir=out.parent, port=0, live=order)
-        stop, times = threading.Event(), []
+        stop, poses, times = threading.Event(), [], []
         server = threading.Thread(target=dashboard.run)
         server.start()
-        page = threading.Thread(target=told_windows, args=(dashboard.address, "live", times, stop))
+        page = threading.Thread(target=told_windows, args=(dashboard.address, "live", poses, times, stop))
         page.start()
         begun_s, late_s = ours.recv(), ours.recv()
         run = dashboard.runs.get("live")
@@ -132,12 +140,7 @@ def main() -> None:
             summary = session.summary or {}
         t_us = np.array([int(recording.events.read(int(end) - 1, int(end)).t_us[0]) for end in ends])
         due_s = begun_s + (t_us - recording.first_us) * 1e-6 / speed
-        known, ms = 0, []
-        for at, count in times:
-            ms += [1e3 * (at - due) for due in due_s[known:count]]
-            known = max(known, count)
         live = summary.get("live", {})
-        median, p95 = np.percentile(ms, [50, 95])
         print(
             f"stream      {recording.events.count:,d} events at {given.rate / 1e6:g} Mev/s, speed {speed:.2f}, "
             f"sent at most {1e3 * late_s:.0f} ms late; load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
@@ -146,9 +149,13 @@ def main() -> None:
             f"tracked     {len(ends)} windows, {live.get('used_share', 0):.1%} of the events used, "
             f"left out {live.get('skips', 0)} times, {summary.get('tracked_share', 0):.1%} tracked"
         )
-        print(
-            f"due event to pose told by the server   median {median:.0f} ms, p95 {p95:.0f} ms, of {len(ms)} windows"
-        )
+        for what, told in (("pose in the page's state ", poses), ("window in the session   ", times)):
+            known, ms = 0, []
+            for at, count in told:
+                ms += [1e3 * (at - due) for due in due_s[known:count]]
+                known = max(known, count)
+            median, p95 = np.percentile(ms, [50, 95])
+            print(f"due event to {what}  median {median:.0f} ms, p95 {p95:.0f} ms, of {len(ms)} windows")
         print(
             f"arrival to pose, as the page shows it  median {live.get('latency_median_ms', 0):.0f} ms, "
             f"p95 {live.get('latency_p95_ms', 0):.0f} ms ({figures.get('stream', '')})"

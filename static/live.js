@@ -44,6 +44,11 @@ export function liveStrip(state, { follow, problem }) {
     setText(byId("run-pause"), paused ? "go on" : "pause run");
     setText(byId("live-badge"), paused ? "paused" : "live");
   });
+  state.watch(["live", "pose"], () => {
+    const at = state.live && state.pose?.position;
+    byId("live-pose").hidden = !at;
+    setText(byId("live-pose"), at ? `camera at ${at.map((value) => fixed(value)).join(", ")} d` : "");
+  });
   state.watch(["live", "progress", "following", "detail"], () => {
     byId("live").hidden = !state.live;
     byId("follow").setAttribute("aria-pressed", String(state.following));

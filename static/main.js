@@ -98,6 +98,7 @@ socket.addEventListener("closed", async ({ detail: { tries } }) => {
 });
 socket.addEventListener("sessions", ({ detail: { sessions } }) => listed(sessions));
 socket.addEventListener("grown", ({ detail }) => viewing.grown(detail));
+socket.addEventListener("pose", ({ detail }) => detail.session === state.session && state.set({ pose: detail }));
 // A keyframe was clicked in the 3-D scene.
 socket.addEventListener("goto", ({ detail }) => detail.session === state.session && byHand(detail.window));
 socket.addEventListener("landscape", ({ detail }) => landscape.take(detail));

@@ -15,6 +15,7 @@ const START = {
   live: false,         // the session is being written
   following: false,    // the playhead stays at the end
   progress: null,      // of the run that writes it
+  pose: null,          // {window, status, position} that a stream was at last, before it is in the session
   loop: null,          // {start, end} windows that are played again and again
   connected: true,
   problem: null,       // a sentence, while the session cannot be shown

@@ -34,7 +34,7 @@ export class Viewing {
     this.transport.pause();
     this.seeker.reset();
     images.clear(waiting ? "" : "loading");
-    state.set({ session: name, waiting, detail: null, columns: null, windows: 0, window: 0, shown: null, values: null, live: false, following: false, progress: null, loop: null, problem: null });
+    state.set({ session: name, waiting, detail: null, columns: null, windows: 0, window: 0, shown: null, values: null, live: false, following: false, progress: null, pose: null, loop: null, problem: null });
     timeline.setLoop(null);
     timeline.show({ columns: null, detail: null }, true);
     if (waiting) return showEmpty(...waitingWords(entry, state.sessions));
@@ -180,7 +180,7 @@ export class Viewing {
       this.timeline.show(state);
       if (columns.count && (state.following || first)) this.seek(columns.count - 1, first || moved);
       else if (moved) this.ask(); // the poses were refined, the map is another one
-      if (!live) state.set({ following: false, progress: null });
+      if (!live) state.set({ following: false, progress: null, pose: null });
     } catch (error) {
       if (error.isDoor) this.door(AGAIN_UNKNOWN);
       else this.flash(error.message);

@@ -11,6 +11,7 @@ import threading
 import webbrowser
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import uvicorn
 
@@ -144,7 +145,7 @@ class Dashboard:
         self._keys = Keys(bound)
         shown_host = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(host, f"[{host}]" if ":" in host else host)
         self.address = f"http://{shown_host}:{bound}/#token={self._keys.token}"
-        self.runs = Runs(self._run_changed, told, rerun_port)
+        self.runs = Runs(self._run_changed, told, rerun_port, self._posed)
         self._library = Library(sessions_dir, self.runs)
         self._tabs = Tabs(self._library, ImageCache(_CACHE_BYTES))
         self._exports = Exports()
@@ -203,6 +204,12 @@ class Dashboard:
         self._tabs.close()
         self._exports.close()
         self._recordings.close()
+
+    def _posed(self, run: Run, pose: dict[str, Any]) -> None:
+        name = run.order.name
+        for tab in self._tabs.all():
+            if tab.shown is not None and tab.shown.name == name:
+                tab.tell({"type": "pose", "session": name, **pose}, f"pose {name}")
 
     def _run_changed(self, run: Run) -> None:
         self._watch.look()

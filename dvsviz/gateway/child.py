@@ -59,7 +59,7 @@ class _Child:
         self._pipe, self._order = pipe, order
         self._going_on = threading.Event()
         self._going_on.set()
-        self._told_s = 0.0
+        self._told_s, self._sending = 0.0, threading.Lock()
         self._began: tuple[float, float] | None = None
         threading.Thread(target=self._listen, daemon=True).start()
 
@@ -125,6 +125,9 @@ class _Child:
             if figures is not None:
                 told.update(figures.now() | {"real_time_factor": now.real_time_factor})
                 self._tell(Stage.TRACKING, told)
+            # Each pose at once: the session is written a few times a second only.
+            pose = {"window": now.window, "status": str(now.status), "position": now.position}
+            self._send({"pose": pose})
             self._going_on.wait()
 
         self._tell(Stage.COMPILING, {}, at_once=True)
@@ -192,8 +195,11 @@ class _Child:
     def _tell(self, stage: Stage, told: dict[str, Any], *, at_once: bool = False) -> None:
         if at_once or time.monotonic() - self._told_s > _TELL_EVERY_S:
             self._told_s = time.monotonic()
-            with contextlib.suppress(OSError):  # the server is gone: `_listen` cancels
-                self._pipe.send({"stage": str(stage), **told})
+            self._send({"stage": str(stage), **told})
+
+    def _send(self, message: dict[str, Any]) -> None:
+        with self._sending, contextlib.suppress(OSError):  # the server is gone: `_listen` cancels
+            self._pipe.send(message)
 
     def _listen(self) -> None:
         """Obey commands; a server that is gone cancels."""

@@ -17,6 +17,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
+from typing import Any
 
 from dvsviz.errors import DvsvizError
 from dvsviz.gateway.child import carry_out
@@ -58,6 +59,8 @@ class Runs:
         changed: called with a run whenever its state changed, from the manager's thread.
         told: called with a run whenever it told how far it is, from the manager's thread.
         rerun_port: where a rerun viewer of this machine listens that every run is streamed to, or None.
+        posed: called with a stream's run and the number, status and position of each window as soon as it is tracked,
+            from the manager's thread.
     """
 
     def __init__(
@@ -65,8 +68,9 @@ class Runs:
         changed: Callable[[Run], None],
         told: Callable[[Run], None] | None = None,
         rerun_port: int | None = None,
+        posed: Callable[[Run, dict[str, Any]], None] | None = None,
     ) -> None:
-        self._changed, self._told, self._rerun_port = changed, told, rerun_port
+        self._changed, self._told, self._rerun_port, self._posed = changed, told, rerun_port, posed
         self._runs: dict[str, Run] = {}
         self._queue: deque[Run] = deque()
         self._condition = threading.Condition()
@@ -215,6 +219,10 @@ class Runs:
                 told = pipe.recv()
                 if not isinstance(told, dict):
                     return RunState(told[0]), told[1]
+                if "pose" in told:
+                    if self._posed is not None:
+                        self._posed(run, told["pose"])
+                    continue
                 run.stage = Stage(told.pop("stage"))
                 run.progress = told
                 if self._told is not None:

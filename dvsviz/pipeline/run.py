@@ -42,6 +42,7 @@ class Progress:
     Attributes:
         window: number of the window just tracked.
         status: its status.
+        position: of the camera at its start (x, y, z), world, plane distances.
         share: events done by events of the recording, 0 to 1.
         events_per_second: events tracked by wall second, of this run.
         real_time_factor: recording seconds by wall second, of this run.
@@ -50,6 +51,7 @@ class Progress:
 
     window: int
     status: Status
+    position: tuple[float, float, float]
     share: float
     events_per_second: float
     real_time_factor: float
@@ -293,9 +295,11 @@ class Run:
 
     def _progress(self, result: WindowResult) -> Progress:
         wall_s = max(time.perf_counter() - self._started, 1e-9)
+        x, y, z = result.T_world_camera[:3, 3].tolist()
         return Progress(
             window=result.window,
             status=result.status,
+            position=(x, y, z),
             share=(result.end_event - self._part[0]) / max(1, self._last_event - self._part[0]),
             events_per_second=(result.end_event - self._first_event) / wall_s,
             real_time_factor=(result.end_us - self._first_us) * 1e-6 / wall_s,

@@ -86,6 +86,13 @@ def test_a_stream_is_watched_breaks_off_and_goes_on(
             "its figures are shown",
             60,
         )
+        place = dashboard.page.locator("#live-pose")
+        number = r"[−\d]+\.\d\d"
+        dashboard.until(
+            lambda: re.fullmatch(rf"camera at {number}, {number}, {number} d", place.text_content() or ""),
+            "its pose",
+            30,
+        )
         dashboard.until(
             lambda: "was lost" in dashboard.page.locator("#live-text").inner_text(), "its end is said", 60
         )
@@ -100,6 +107,7 @@ def test_a_stream_is_watched_breaks_off_and_goes_on(
         assert dashboard.state["live"]
         replaying[1].end()
         dashboard.until(lambda: not dashboard.state["live"], "it has ended", 90)
+        assert place.text_content() == ""
         dashboard.until(lambda: raw.locator("canvas").is_visible(), "its images are shown", 60)
         assert not dashboard.problems
     context.close()
