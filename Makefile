@@ -9,7 +9,9 @@ STAMP := $(VENV)/.installed
 run: $(STAMP)
 	$(BIN)/python app.py
 
-test: $(STAMP) browser lint kernels
+# Checking types and compiling kernels take a core each.
+test: $(STAMP) browser
+	$(MAKE) -j2 --output-sync=target lint kernels
 	$(BIN)/python -m pytest $(PYTEST_ARGS)
 
 # Compiles the tracker's kernels once: tests with servers in other processes would each wait for them.

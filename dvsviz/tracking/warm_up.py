@@ -16,10 +16,11 @@ from dvsviz.geometry.camera import Camera
 from dvsviz.tracking.constants import CONTRAST_EVENTS
 from dvsviz.tracking.tracker import Tracker
 
-_WINDOWS = 6
+# The most that are tracked until a refinement has come: mostly after six to eight.
+_WINDOWS = 12
 _WINDOW_EVENTS = 1000
 _WINDOW_US = 30_000
-# In all windows together a quarter of the image: enough for five keyframes and a refinement.
+# In eight windows a third of the image: enough for five keyframes and a refinement.
 _SPEED_PX_PER_S = 160.0
 # Small: only the kinds of the arrays matter.
 _CAMERA = Camera(width=120, height=90, fx=100.0, fy=100.0, cx=59.5, cy=44.5)
@@ -48,7 +49,8 @@ def _run(motion: Motion, mode: Mode) -> None:
     tracker = Tracker(_CAMERA, replace(config, window=_WINDOW_EVENTS))
     for index in range(_WINDOWS):
         tracker.step(_window(index, _WINDOW_EVENTS, dots, rng))
-    tracker.take_updates()
+        if tracker.take_updates().refined:
+            break
     # A large window is thinned before its contrast is maximised: strided arrays are another kind of array.
     Tracker(_CAMERA, config).step(_window(0, 2 * CONTRAST_EVENTS, dots, rng))
 
