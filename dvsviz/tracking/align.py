@@ -92,35 +92,22 @@ def align(
         first_level: 0 for the whole pyramid, more to start finer.
         iterations: steps at each level.
     """
-    young = np.zeros((0, 3))
-    if view is not None:
-        H = planar_map.projection @ homography_map_camera(T_world_camera, planar_map.plane)
-        young = still_written(view, H, planar_map.exposure, c.EXPOSURE_CELL_PX, planar_map.freeze_px)
-    Ts, found, information = _aligned(
+    (found,) = align_each(
         planar_map,
-        bearings,
-        t_s,
-        np.array([0, len(bearings)]),
+        [bearings],
+        [t_s],
         T_world_camera[None],
         omega[None],
         velocity[None],
-        free,
-        default_prior() if prior is None else prior,
-        anchored,
-        focal_px,
-        first_level,
-        iterations,
-        young,
-        0.0 if view is None else c.CHANCE_SHARE / len(view),
+        focal_px=focal_px,
+        free=free,
+        prior=prior,
+        anchored=anchored,
+        view=view,
+        first_level=first_level,
+        iterations=iterations,
     )
-    return Alignment(
-        T_world_camera=Ts[0],
-        value=float(found[0, 0]),
-        inside=float(found[0, 1]),
-        information=information[0] / c.RESIDUAL_VARIANCE,
-        iterations=int(found[0, 2]),
-        step_px=float(found[0, 3]),
-    )
+    return found
 
 
 def align_each(
@@ -133,10 +120,13 @@ def align_each(
     *,
     focal_px: float,
     free: NDArray[np.bool_],
+    prior: Array | None = None,
     anchored: float = 0.0,
+    view: Array | None = None,
     first_level: int = 0,
-) -> Array:
-    """Return the poses (N, 4, 4) of N windows, each aligned as by `align`; one without events keeps its pose.
+    iterations: tuple[int, ...] = c.ALIGN_ITERATIONS,
+) -> list[Alignment]:
+    """Return N windows, each aligned as by `align`; one without events keeps its pose.
 
     Args:
         planar_map: the map.
@@ -147,61 +137,26 @@ def align_each(
         velocity: linear velocities (N, 3), held.
         focal_px: as in `align`.
         free: as in `align`.
+        prior: as in `align`, of every window.
         anchored: as in `align`.
+        view: as in `align`, where the first window sees it.
         first_level: as in `align`.
+        iterations: as in `align`.
     """
-    Ts, _, _ = _aligned(
-        planar_map,
-        np.concatenate(bearings),
-        np.concatenate(t_s),
-        np.cumsum([0, *map(len, bearings)]),
-        Ts_world_camera,
-        omega,
-        velocity,
-        free,
-        default_prior(),
-        anchored,
-        focal_px,
-        first_level,
-        c.ALIGN_ITERATIONS,
-        np.zeros((0, 3)),
-        0.0,
-    )
-    return Ts
-
-
-def _aligned(
-    planar_map: PlanarMap,
-    bearings: NDArray[np.float32],
-    t_s: Array,
-    first: NDArray[np.int64],
-    Ts_world_camera: Array,
-    omega: Array,
-    velocity: Array,
-    free: NDArray[np.bool_],
-    prior: Array,
-    anchored: float,
-    focal_px: float,
-    first_level: int,
-    iterations: tuple[int, ...],
-    young: Array,
-    by_chance: float,
-) -> tuple[Array, Array, Array]:
-    """Return of N windows poses (N, 4, 4), value, inside, steps and last step (N, 4), and normal matrices (N, 6, 6)."""
-    plane = planar_map.plane
-    Ts, found, information = (
-        Ts_world_camera.copy(),
-        np.zeros((len(Ts_world_camera), 4)),
-        np.zeros((len(Ts_world_camera), 6, 6)),
-    )
+    plane, count = planar_map.plane, len(Ts_world_camera)
+    young = np.zeros((0, 3))
+    if view is not None:
+        H = planar_map.projection @ homography_map_camera(Ts_world_camera[0], plane)
+        young = still_written(view, H, planar_map.exposure, c.EXPOSURE_CELL_PX, planar_map.freeze_px)
+    Ts, found, information = Ts_world_camera.copy(), np.zeros((count, 4)), np.zeros((count, 6, 6))
     _descend_each(
         # Three images of one kind, whichever are used: one compiled kernel.
         tuple(planar_map.level(max(i, first_level)) for i in range(len(c.ALIGN_BLURS_PX))),
         np.array(iterations),
         first_level,
-        bearings,
-        t_s,
-        first,
+        np.concatenate(bearings),
+        np.concatenate(t_s),
+        np.cumsum([0, *map(len, bearings)]),
         Ts,
         omega,
         velocity,
@@ -209,15 +164,25 @@ def _aligned(
         plane.distance,
         planar_map.projection @ points_to_map(plane),
         free,
-        prior,
+        default_prior() if prior is None else prior,
         anchored,
         focal_px,
         young,
-        by_chance,
+        0.0 if view is None else c.CHANCE_SHARE / len(view),
         found,
         information,
     )
-    return Ts, found, information
+    return [
+        Alignment(
+            T_world_camera=Ts[k],
+            value=float(found[k, 0]),
+            inside=float(found[k, 1]),
+            information=information[k] / c.RESIDUAL_VARIANCE,
+            iterations=int(found[k, 2]),
+            step_px=float(found[k, 3]),
+        )
+        for k in range(count)
+    ]
 
 
 def thinned(count: int) -> NDArray[np.int64]:

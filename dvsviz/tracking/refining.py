@@ -231,7 +231,7 @@ class Refiner:
         self, planar_map: PlanarMap, traces: Sequence[Trace], *, anchored: float = 0.0, first_level: int = 1
     ) -> Array:
         picks = [np.zeros(0, dtype=np.int64) if t.keyframe == HELD else thinned(len(t.bearings)) for t in traces]
-        return align_each(
+        found = align_each(
             planar_map,
             [t.bearings[pick] for t, pick in zip(traces, picks, strict=True)],
             [t.t_s[pick] - t.mid_s for t, pick in zip(traces, picks, strict=True)],
@@ -243,3 +243,4 @@ class Refiner:
             first_level=first_level,
             anchored=anchored,
         )
+        return np.array([one.T_world_camera for one in found])
