@@ -34,11 +34,12 @@ from dvsviz.tracking.align import align, free_parameters, view_rays
 from dvsviz.tracking.diagnose import in_words, weakest
 from dvsviz.tracking.kernels import map_nodes
 from dvsviz.tracking.measure import measure
-from dvsviz.tracking.normal_equations import landmark_jacobians, solve_positive
+from dvsviz.tracking.normal_equations import banded_cholesky, landmark_jacobians, solve_views
 from dvsviz.tracking.planar_map import PlanarMap
 from dvsviz.tracking.refine import View, refine
 from dvsviz.tracking.refining import Revised
 from dvsviz.tracking.relocalize import relocalize
+from dvsviz.tracking.smooth_motion import SmoothMotion
 from dvsviz.tracking.traces import Trace
 from dvsviz.tracking.tracker import Tracker
 from dvsviz.tracking.translation import deviation_from_plane
@@ -285,8 +286,7 @@ def test_landmark_jacobians_against_central_differences() -> None:
     R_map_world = rotation_to_map(TILTED)
 
     def along(x: np.ndarray) -> np.ndarray:
-        moved = T @ se3.pose(se3.exp_so3(x[:3]), np.zeros(3))
-        moved[:3, 3] = T[:3, 3] + T[:3, :3] @ x[3:6]
+        moved = se3.pose(se3.exp_so3(x[:3]) @ T[:3, :3], T[:3, 3] + x[3:6])
         n = turn_normal(TILTED, x[6:])
         y = np.column_stack([bearings, np.ones(7)]) @ moved[:3, :3].T
         p = ((1.1 + moved[:3, 3] @ n) * y - np.outer(y @ n, moved[:3, 3])) @ R_map_world.T
@@ -489,11 +489,70 @@ def test_frozen_cells_are_not_written() -> None:
     assert planar_map.votes.sum() == 1.0
 
 
-def test_solve_positive() -> None:
+def test_banded_cholesky() -> None:
     rng = np.random.default_rng(0)
-    J = rng.normal(size=(40, 12))
-    A, b = J.T @ J, rng.normal(size=12)
-    assert np.allclose(solve_positive(A.copy(), b), np.linalg.solve(A, b))
+    L = np.tril(np.triu(rng.normal(size=(30, 30)), -4)) + 6 * np.eye(30)
+    band = np.stack([np.concatenate([np.zeros(d), np.diagonal(L @ L.T, -d)]) for d in range(5)], axis=-1)
+    banded_cholesky(band)
+    for d in range(5):
+        assert np.allclose(band[d:, d], np.diagonal(L, -d))
+
+
+def test_views_are_solved_as_by_the_whole_matrix() -> None:
+    """Poses, normal and landmark offsets solved together, densely: the same step of poses and normal."""
+    rng = np.random.default_rng(1)
+    views, landmarks = 7, 60
+    sees = rng.random((landmarks, views)) < 0.5
+    landmark, view = np.nonzero(sees)
+    first = np.searchsorted(landmark, np.arange(landmarks + 1))
+    m, size = len(view), 6 * views + 2
+    weight, residual, J = rng.uniform(1, 8, m), rng.normal(size=m), rng.normal(size=(m, 8))
+    Ts = np.stack([se3.pose(se3.exp_so3(x[:3]), x[3:]) for x in rng.normal(0, 0.1, (views, 6))])
+    motion = SmoothMotion.between(np.array([0.0, 0.1, 0.15, 0.3, 0.9, 1.0, 1.1]), Ts)
+    # None across the gap.
+    assert motion.middle.tolist() == [1, 2, 5]
+    prior = rng.uniform(0.5, 2, size)
+    is_free = np.arange(size) >= 6
+    whole = np.zeros((size + landmarks, size + landmarks))
+    g = np.zeros(size + landmarks)
+    for k in range(m):
+        row = np.zeros(size + landmarks)
+        row[6 * view[k] : 6 * view[k] + 6], row[size - 2 : size], row[size + landmark[k]] = J[k, :6], J[k, 6:], -1.0
+        whole += weight[k] * np.outer(row, row)
+        g += weight[k] * residual[k] * row
+    for k, middle in enumerate(motion.middle):
+        for q in range(6):
+            row = np.zeros(size + landmarks)
+            row[6 * (middle - 1) + q : 6 * (middle + 2) + q : 6] = motion.tie[k]
+            whole += motion.information[k, q] * np.outer(row, row)
+    whole[np.diag_indices(size)] += prior
+    gradient = np.concatenate([motion.gradient(Ts), [0.3, -0.2]])
+    g[:size] += gradient
+    live = np.concatenate([is_free, sees.any(axis=1)])
+    wanted = -np.linalg.solve(whole[np.ix_(live, live)], g[live])[: size - 6]
+    found = solve_views(
+        first, view, weight, residual, J, prior, gradient, motion.middle, motion.tie, motion.information, is_free,
+        500, 1e-12,
+    )  # fmt: skip
+    assert np.all(found[:6] == 0)
+    assert np.abs(found[6:] - wanted).max() < 1e-8 * np.abs(wanted).max()
+
+
+def test_smooth_motion_against_central_differences() -> None:
+    rng = np.random.default_rng(2)
+    t_s = np.cumsum(rng.uniform(0.02, 0.05, 12))
+    # Steps of a hand: the changes are linear in the poses up to second order in the turn between two of them.
+    Ts = np.stack([se3.pose(se3.exp_so3(x[:3]), x[3:]) for x in np.cumsum(rng.normal(0, 1e-3, (12, 6)), axis=0)])
+    motion = SmoothMotion.between(t_s, Ts)
+    assert len(motion.middle) == 10
+
+    def cost(x: np.ndarray) -> float:
+        moved = x.reshape(-1, 6)
+        turned = se3.pose(se3.exp_so3(moved[:, :3]) @ Ts[:, :3, :3], Ts[:, :3, 3] + moved[:, 3:])
+        return 0.5 * float((motion.information * motion.changes(turned) ** 2).sum())
+
+    numeric = np.array([(cost(h) - cost(-h)) / 2e-6 for h in 1e-6 * np.eye(72)])
+    assert np.abs(motion.gradient(Ts) - numeric).max() < 5e-3 * np.abs(numeric).max()
 
 
 def test_weak_direction_in_words() -> None:

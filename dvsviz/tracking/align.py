@@ -164,7 +164,7 @@ def align_each(
         plane.distance,
         planar_map.projection @ points_to_map(plane),
         free,
-        default_prior() if prior is None else prior,
+        default_prior() if prior is None else np.ascontiguousarray(prior),
         anchored,
         focal_px,
         young,

@@ -19,7 +19,7 @@ from dvsviz.geometry.plane import Plane
 from dvsviz.session.records import Status
 from dvsviz.tracking import constants as c
 from dvsviz.tracking import diagnose
-from dvsviz.tracking.align import Alignment, align, thinned, view_rays
+from dvsviz.tracking.align import Alignment, align, align_each, thinned, view_rays
 from dvsviz.tracking.bootstrap import motion_by_contrast
 from dvsviz.tracking.by_contrast import follow_by_contrast
 from dvsviz.tracking.failures import FailureWatch
@@ -142,6 +142,11 @@ class PoseFinder:
         if first > 0 and self._agreed(alignment) < c.WEAK_RATIO * self.motion.good_score:
             wider = self._align(sampled, mid_s, predicted, omega, velocity, prior if by_gyro else None)
             alignment = max(alignment, wider, key=self._agreed)
+        elsewhere = self._probe(sampled, mid_s, alignment, omega, velocity)
+        if elsewhere is not None:
+            # It went astray over many windows, along a direction that they hardly told.
+            self.motion.filter.forget()
+            return self.trace(window, sampled, mid_us, elsewhere.T_world_camera), elsewhere
         T = alignment.T_world_camera
         change = self.motion.filter.correct(difference(predicted, T), alignment.information, dt_predict)
         if by_gyro:
@@ -149,6 +154,45 @@ class PoseFinder:
             change[:3] = 0.0
         self.motion.omega, self.motion.velocity = omega + change[:3], velocity + change[3:]
         return self.trace(window, sampled, mid_us, T), alignment
+
+    def _probe(
+        self,
+        sampled: tuple[NDArray[np.float32], Array],
+        mid_s: float,
+        alignment: Alignment,
+        omega: Array,
+        velocity: Array,
+    ) -> Alignment | None:
+        """Return a better alignment from farther off along the directions that a window tells least of, if any."""
+        good = self.motion.good_score
+        here = self._agreed(alignment)
+        if self.motion.status is Status.INITIALIZING or here >= c.PROBE_RATIO * good or not self.free.all():
+            return None
+        T = alignment.T_world_camera
+        if diagnose.stripes(self.mapper.live_map, T, self.camera)[0] < c.STRIPES_SHARE:
+            # Along stripes one place is as good as the next.
+            return None
+        bearings, t_s = sampled
+        pick = thinned(len(bearings))
+        bearings, t_s = bearings[pick], t_s[pick] - mid_s
+        vectors = np.linalg.eigh(alignment.information)[1][:, : c.PROBE_DIRECTIONS]
+        steps = np.array([sign * size for size in c.PROBE_STEPS for sign in (-1.0, 1.0)])
+        offsets = (vectors.T[:, None] * steps[:, None]).reshape(-1, 6)
+        R = T[:3, :3]
+        Ts = se3.pose(R @ se3.exp_so3(offsets[:, :3]), T[:3, 3] + offsets[:, 3:] @ R.T)
+        count = len(Ts)
+        found = align_each(
+            self.mapper.live_map,
+            [bearings] * count,
+            [t_s] * count,
+            Ts,
+            np.tile(omega, (count, 1)),
+            np.tile(velocity, (count, 1)),
+            focal_px=self.camera.focal_px,
+            free=self.free,
+        )
+        best = max(found, key=self._agreed)
+        return best if self._agreed(best) > here + c.PROBE_LEAD * good else None
 
     def bridge(
         self, trace: Trace, alignment: Alignment | None, images: WindowImages

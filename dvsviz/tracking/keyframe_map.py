@@ -134,7 +134,7 @@ class JointRefiner(Refiner):
         plane: Plane,
         *,
         first: bool,
-        passes: int = 1,
+        last: bool = False,
         faces: Sequence[Plane] = (),
         dropped: threading.Event | None = None,
     ) -> Revised:
@@ -144,7 +144,7 @@ class JointRefiner(Refiner):
             traces: all windows so far, keyframes among them; the last keyframe is the candidate.
             plane: as known.
             first: not used: the map is made anew in any case.
-            passes: more than 1 at the recording's end, where there is no candidate.
+            last: at the recording's end, where there is no candidate.
             faces: not used: this mode keeps to one plane.
             dropped: not used: what is found of the candidate is always wanted.
         """
@@ -183,7 +183,7 @@ class JointRefiner(Refiner):
         views = [t for t in kept if _is_anchor(t)]
         overlap, usual = (self._explained(views, which, plane) for which in (-1, -2))
         # Dense texture explains less than a few shapes do: what the others explain of the keyframe before is usual.
-        refused = passes == 1 and overlap < c.JOINT_OVERLAP * usual
+        refused = not last and overlap < c.JOINT_OVERLAP * usual
         if refused:
             candidate = max(t.keyframe for t in anchors)
             kept = [replace(t, is_trusted=False) if t.keyframe == candidate else t for t in traces]
@@ -219,12 +219,10 @@ class JointRefiner(Refiner):
         found = {}
         for t, k in zip(anchors, solved, strict=True):
             T = se3.propagate(k.T_world_camera, k.omega, k.velocity, t.mid_s)
-            found[t.keyframe] = (T, k.omega, se3.exp_so3(k.omega * t.mid_s).T @ k.velocity)
+            found[t.window] = (T, k.omega, se3.exp_so3(k.omega * t.mid_s).T @ k.velocity)
         return [
-            replace(
-                t, T_world_camera=found[t.keyframe][0], omega=found[t.keyframe][1], velocity=found[t.keyframe][2]
-            )
-            if t.keyframe in found
+            replace(t, T_world_camera=found[t.window][0], omega=found[t.window][1], velocity=found[t.window][2])
+            if t.window in found
             else t
             for t in correct(traces, {number: T for number, (T, _, _) in found.items()})
         ]

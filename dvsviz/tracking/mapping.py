@@ -354,7 +354,7 @@ class Mapper:
             if everything:
                 faces = () if self.panorama is None else tuple(self.panorama.faces)
                 revised = self._refiner.revise(
-                    self.traces, self.plane, first=self.refinements == 0, passes=2, faces=faces
+                    self.traces, self.plane, first=self.refinements == 0, last=True, faces=faces
                 )
             else:
                 revised = self._refiner.settle(self.traces, self.plane)

@@ -1,4 +1,9 @@
-"""Kernels of the joint refinement: landmark offsets eliminated, the rest solved."""
+"""Kernels of the joint refinement: landmark offsets eliminated, the rest solved by conjugate gradients.
+
+The matrix of all poses is never made: it is full, as every landmark ties all views that saw it to each other, but its
+product with a vector costs one pass over the observations. What ties neighbours in time, and each pose to itself, is a
+band around the diagonal; its Cholesky factor is the preconditioner.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +17,8 @@ Array = NDArray[np.float64]
 @numba.njit(cache=True, nogil=True)
 def landmark_jacobians(bearings, view, Rs, ts, n, d, R_map_world, scale, normals, d_normal, out):
     """Write d(normal . cell) / d(rotation, position, plane normal) (M, 8) of bearings (M, 2), each seen from a view.
+
+    Rotation and position are moved in the world: R' = exp(phi) R, t' = t + delta.
 
     The cell of bearing b is `scale q / q_2` with q = R_map_world (d_c R b - t (n . R b)) and its last entry by d. The
     map frame is held while the plane's normal moves: both are rendered anew in the next round.
@@ -30,11 +37,9 @@ def landmark_jacobians(bearings, view, Rs, ts, n, d, R_map_world, scale, normals
         out: (M, 8).
     """
     by_0, by_1 = d_normal[:, 0].copy(), d_normal[:, 1].copy()
-    m, y, x, n_c = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    m, y, x = np.empty(3), np.empty(3), np.empty(3)
     for i in range(bearings.shape[0]):
         R, t = Rs[view[i]], ts[view[i]]
-        for k in range(3):
-            n_c[k] = n[0] * R[0, k] + n[1] * R[1, k] + n[2] * R[2, k]
         d_c = d + t[0] * n[0] + t[1] * n[1] + t[2] * n[2]
         t_0 = t[0] * by_0[0] + t[1] * by_0[1] + t[2] * by_0[2]
         t_1 = t[0] * by_1[0] + t[1] * by_1[1] + t[2] * by_1[2]
@@ -53,111 +58,182 @@ def landmark_jacobians(bearings, view, Rs, ts, n, d, R_map_world, scale, normals
             m[k] = R_map_world[0, k] * a0 + R_map_world[1, k] * a1 + R_map_world[2, k] * a2
         my = m[0] * y[0] + m[1] * y[1] + m[2] * y[2]
         mt = m[0] * t[0] + m[1] * t[1] + m[2] * t[2]
-        # By the rotation: dy = R (phi x b); s = R^T (d_c m - (m . t) n).
-        s0 = d_c * (R[0, 0] * m[0] + R[1, 0] * m[1] + R[2, 0] * m[2]) - mt * n_c[0]
-        s1 = d_c * (R[0, 1] * m[0] + R[1, 1] * m[1] + R[2, 1] * m[2]) - mt * n_c[1]
-        s2 = d_c * (R[0, 2] * m[0] + R[1, 2] * m[1] + R[2, 2] * m[2]) - mt * n_c[2]
-        out[i, 0] = x[1] * s2 - x[2] * s1
-        out[i, 1] = x[2] * s0 - x[0] * s2
-        out[i, 2] = x[0] * s1 - x[1] * s0
+        # By the rotation: dy = phi x y; s = d_c m - (m . t) n.
+        s0, s1, s2 = d_c * m[0] - mt * n[0], d_c * m[1] - mt * n[1], d_c * m[2] - mt * n[2]
+        out[i, 0] = y[1] * s2 - y[2] * s1
+        out[i, 1] = y[2] * s0 - y[0] * s2
+        out[i, 2] = y[0] * s1 - y[1] * s0
         for k in range(3):
-            mr = m[0] * R[0, k] + m[1] * R[1, k] + m[2] * R[2, k]
-            out[i, 3 + k] = n_c[k] * my - mr * ny
+            out[i, 3 + k] = n[k] * my - m[k] * ny
         out[i, 6] = t_0 * my - mt * (by_0[0] * y[0] + by_0[1] * y[1] + by_0[2] * y[2])
         out[i, 7] = t_1 * my - mt * (by_1[0] * y[0] + by_1[1] * y[1] + by_1[2] * y[2])
 
 
-def reduce_normal_equations(
-    view: NDArray[np.int64],
-    landmark: NDArray[np.int64],
-    weight: Array,
-    residual: Array,
-    J: Array,
-    landmarks: int,
-    A: Array,
-    g: Array,
-) -> None:
-    """Add the reduced normal equations of landmarks whose offsets are eliminated.
+@numba.njit(cache=True, nogil=True)
+def solve_views(
+    first, view, weight, residual, J, prior, gradient, middle, tie, stiffness, is_free, most, tolerance
+):
+    """Return the Gauss-Newton step (6 K + 2,) of K poses and the plane's normal, the landmarks' offsets eliminated.
 
     Args:
+        first: of each landmark its first observation (L + 1,).
         view: of each observation (M,).
-        landmark: of each observation (M,), increasing.
         weight: (M,).
-        residual: (M,).
-        J: by the view's pose and the plane's normal (M, 8).
-        landmarks: how many there are.
-        A: (6 K + 2, 6 K + 2) of K views, added to in place.
-        g: (6 K + 2,), added to in place.
+        residual: (M,); its mean over each landmark is taken off, in place.
+        J: by the view's pose and the plane's normal (M, 8); the last two without their mean too, in place.
+        prior: information (6 K + 2,) that each number has by itself.
+        gradient: (6 K + 2,) of all but the observations.
+        middle: poses (T,) that are tied to the one before and the one after.
+        tie: coefficients (T, 3) of before, middle and after.
+        stiffness: information (T, 6) of the six combinations being zero.
+        is_free: mask (6 K + 2,); the others stay.
+        most: iterations.
+        tolerance: of the preconditioned residual's length, by that at the start.
     """
-    eliminated = np.zeros((landmarks, len(g) - 2))
-    _add_observations(view, landmark, weight, residual, J, A, g, eliminated)
-    A[:-2, :-2] -= eliminated.T @ eliminated
+    size = prior.shape[0]
+    poses = size - 2
+    total = _centred(first, weight, residual, J)
+    band = np.zeros((poses, 19))
+    g = gradient.copy()
+    pivot = prior[poses:].copy()
+    _observed(first, view, weight, residual, J, g, band, pivot)
+    for q in range(poses):
+        band[q, 0] += prior[q]
+    for k in range(middle.shape[0]):
+        at = 6 * (middle[k] - 1)
+        for a in range(3):
+            for b in range(a + 1):
+                for q in range(6):
+                    band[at + 6 * a + q, 6 * (a - b)] += stiffness[k, q] * tie[k, a] * tie[k, b]
+    for q in range(poses):
+        for d in range(1, min(q, 18) + 1):
+            if not (is_free[q] and is_free[q - d]):
+                band[q, d] = 0.0
+    banded_cholesky(band)
+    x, r = np.zeros(size), -g
+    for q in range(size):
+        if not is_free[q]:
+            r[q] = 0.0
+    z = r.copy()
+    _precondition(band, pivot, z)
+    p, p_out = z.copy(), np.empty(size)
+    at_first = now = r @ z
+    for _ in range(most):
+        if not now > tolerance * tolerance * at_first:
+            break
+        for q in range(size):
+            p_out[q] = prior[q] * p[q]
+        _times_observed(first, view, weight, J, total, p, p_out)
+        for k in range(middle.shape[0]):
+            at = 6 * (middle[k] - 1)
+            for q in range(6):
+                s = tie[k, 0] * p[at + q] + tie[k, 1] * p[at + 6 + q] + tie[k, 2] * p[at + 12 + q]
+                s *= stiffness[k, q]
+                for a in range(3):
+                    p_out[at + 6 * a + q] += tie[k, a] * s
+        for q in range(size):
+            if not is_free[q]:
+                p_out[q] = 0.0
+        step = now / (p @ p_out)
+        x += step * p
+        r -= step * p_out
+        z[:] = r
+        _precondition(band, pivot, z)
+        before, now = now, r @ z
+        p *= now / before
+        p += z
+    return x
 
 
 @numba.njit(cache=True, nogil=True)
-def _add_observations(view, landmark, weight, residual, J, A, g, eliminated):
-    """Add all but the product of each landmark's row (6 K,) with itself, which is written to `eliminated`."""
-    n = view.shape[0]
-    normal_at = A.shape[0] - 2
-    i = 0
-    while i < n:
-        j = i
-        total, mean_r, mean_n0, mean_n1 = 0.0, 0.0, 0.0, 0.0
-        while j < n and landmark[j] == landmark[i]:
-            total += weight[j]
-            mean_r += weight[j] * residual[j]
-            mean_n0 += weight[j] * J[j, 6]
-            mean_n1 += weight[j] * J[j, 7]
-            j += 1
-        mean_r, mean_n0, mean_n1 = mean_r / total, mean_n0 / total, mean_n1 / total
-        # Seen once, a landmark says nothing.
-        for a in range(i, j if j - i >= 2 else i):
-            wa, ka = weight[a], 6 * view[a]
-            ra = wa * (residual[a] - mean_r)
-            n0, n1 = J[a, 6] - mean_n0, J[a, 7] - mean_n1
+def _centred(first, weight, residual, J):
+    """Take the landmarks' weighted means off the residuals and off what the normal changes; return their weights (L,).
+
+    Seen once, a landmark says nothing: its residual becomes zero.
+    """
+    total = np.zeros(first.shape[0] - 1)
+    for j in range(total.shape[0]):
+        r, n0, n1 = 0.0, 0.0, 0.0
+        for i in range(first[j], first[j + 1]):
+            total[j] += weight[i]
+            r += weight[i] * residual[i]
+            n0 += weight[i] * J[i, 6]
+            n1 += weight[i] * J[i, 7]
+        by = 1.0 / max(total[j], 1e-30)
+        for i in range(first[j], first[j + 1]):
+            residual[i] -= r * by
+            J[i, 6] -= n0 * by
+            J[i, 7] -= n1 * by
+    return total
+
+
+@numba.njit(cache=True, nogil=True)
+def _observed(first, view, weight, residual, J, g, band, pivot):
+    """Add the observations' gradient (6 K + 2,), their blocks on the diagonal (6 K, 19), and the normal's (2,)."""
+    poses = band.shape[0]
+    for j in range(first.shape[0] - 1):
+        if first[j + 1] - first[j] < 2:
+            continue
+        for i in range(first[j], first[j + 1]):
+            at, w = 6 * view[i], weight[i]
             for p in range(6):
-                g[ka + p] += J[a, p] * ra
-                A[ka + p, normal_at] += wa * J[a, p] * n0
-                A[ka + p, normal_at + 1] += wa * J[a, p] * n1
-                for q in range(6):
-                    A[ka + p, ka + q] += wa * J[a, p] * J[a, q]
-                eliminated[landmark[a], ka + p] = wa * J[a, p] / np.sqrt(total)
-            g[normal_at] += n0 * ra
-            g[normal_at + 1] += n1 * ra
-            A[normal_at, normal_at] += wa * n0 * n0
-            A[normal_at, normal_at + 1] += wa * n0 * n1
-            A[normal_at + 1, normal_at + 1] += wa * n1 * n1
-        i = j
-    for p in range(normal_at):
-        A[normal_at, p] = A[p, normal_at]
-        A[normal_at + 1, p] = A[p, normal_at + 1]
-    A[normal_at + 1, normal_at] = A[normal_at, normal_at + 1]
+                g[at + p] += w * J[i, p] * residual[i]
+                for q in range(p + 1):
+                    band[at + p, p - q] += w * J[i, p] * J[i, q]
+            for p in range(2):
+                g[poses + p] += w * J[i, 6 + p] * residual[i]
+                pivot[p] += w * J[i, 6 + p] * J[i, 6 + p]
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
-def solve_positive(A, b):
-    """Return x with A x = b for a positive definite A, which is overwritten (Cholesky).
+def _times_observed(first, view, weight, J, total, x, out):
+    """Add the product of the observations' reduced matrix with x (6 K + 2,)."""
+    poses = x.shape[0] - 2
+    n0, n1 = x[poses], x[poses + 1]
+    along = np.empty(view.shape[0])
+    for j in range(first.shape[0] - 1):
+        mean = 0.0
+        for i in range(first[j], first[j + 1]):
+            at, s = 6 * view[i], 0.0
+            for q in range(6):
+                s += J[i, q] * x[at + q]
+            along[i] = s
+            mean += weight[i] * s
+        mean /= max(total[j], 1e-30)
+        for i in range(first[j], first[j + 1]):
+            at = 6 * view[i]
+            s = weight[i] * (along[i] - mean + J[i, 6] * n0 + J[i, 7] * n1)
+            for q in range(6):
+                out[at + q] += J[i, q] * s
+            out[poses] += J[i, 6] * s
+            out[poses + 1] += J[i, 7] * s
 
-    LAPACK is faster on an idle machine, but its threads wait for each other on a busy one: 50 ms against 2 ms for 140
-    unknowns beside one other process on two cores.
-    """
-    n = A.shape[0]
-    x = b.copy()
+
+@numba.njit(cache=True, nogil=True)
+def _precondition(band, pivot, x):
+    """Replace x (6 K + 2,) by the solution of the band and of the normal's two pivots."""
+    n = band.shape[0]
+    x[n] /= pivot[0]
+    x[n + 1] /= pivot[1]
     for i in range(n):
-        for j in range(i + 1):
-            total = A[i, j]
-            for k in range(j):
-                total -= A[i, k] * A[j, k]
-            if i == j:
-                A[i, i] = np.sqrt(max(total, 1e-30))
-            else:
-                A[i, j] = total / A[j, j]
-    for i in range(n):
-        for k in range(i):
-            x[i] -= A[i, k] * x[k]
-        x[i] /= A[i, i]
+        s = x[i]
+        for d in range(1, min(i, band.shape[1] - 1) + 1):
+            s -= band[i, d] * x[i - d]
+        x[i] = s / band[i, 0]
     for i in range(n - 1, -1, -1):
-        for k in range(i + 1, n):
-            x[i] -= A[k, i] * x[k]
-        x[i] /= A[i, i]
-    return x
+        x[i] /= band[i, 0]
+        for d in range(1, min(i, band.shape[1] - 1) + 1):
+            x[i - d] -= band[i, d] * x[i]
+
+
+@numba.njit(cache=True, nogil=True)
+def banded_cholesky(band):
+    """Replace a positive definite matrix, A[i, i - d] = band[i, d] (n, width + 1), by its lower factor, in place."""
+    width = band.shape[1] - 1
+    for i in range(band.shape[0]):
+        for d in range(min(i, width), -1, -1):
+            j = i - d
+            s = band[i, d]
+            for k in range(max(0, i - width), j):
+                s -= band[i, i - k] * band[j, j - k]
+            band[i, d] = s / band[j, 0] if d > 0 else np.sqrt(max(s, 1e-30))

@@ -157,7 +157,7 @@ def loop_error(
 
 
 def spread(traces: Sequence[Trace], first: int, error: Array) -> dict[int, Array]:
-    """Return poses (4, 4) of all keyframes, by number, after a loop's error was spread over the turn.
+    """Return poses (4, 4) of all keyframes, by window, after a loop's error was spread over the turn.
 
     Args:
         traces: all windows.
@@ -170,7 +170,7 @@ def spread(traces: Sequence[Trace], first: int, error: Array) -> dict[int, Array
     share = np.concatenate([np.zeros(first - 1), turned / max(turned[-1], 1e-9)])
     whole = se3.log_so3(error)
     moved = {
-        t.keyframe: se3.pose(se3.exp_so3(s * whole), np.zeros(3)) @ t.T_world_camera
+        t.window: se3.pose(se3.exp_so3(s * whole), np.zeros(3)) @ t.T_world_camera
         for t, s in zip(traces, share, strict=True)
         if t.keyframe >= 0
     }

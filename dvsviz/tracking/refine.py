@@ -1,9 +1,9 @@
-"""Edge bundle adjustment: all keyframe poses and the plane's normal from the edges they share.
+"""Edge bundle adjustment: all poses and the plane's normal from the edges they share, and from their smooth motion.
 
 Landmarks are ridge pixels of the map with one parameter each, the offset along the edge's normal. The residual of an
-event is its distance to the landmark's line; the offsets are eliminated by the Schur complement, all poses and the
-normal are solved together. Gauge: the first keyframe's pose and the plane's distance are held (section 2.2.3 has
-12k - 4 parameters; the velocities are taken from neighbouring poses instead).
+event is its distance to the landmark's line; the offsets are eliminated, all poses and the normal are solved together.
+Gauge: the first view's pose and the plane's distance are held (section 2.2.3 has 12k - 4 parameters; the velocities are
+taken from neighbouring poses instead).
 """
 
 from __future__ import annotations
@@ -25,22 +25,25 @@ from dvsviz.geometry.plane import (
 )
 from dvsviz.tracking import constants as c
 from dvsviz.tracking.edges import Ridges, Shown, associate, bounds, find_ridges, means, to_cells
-from dvsviz.tracking.normal_equations import landmark_jacobians, reduce_normal_equations, solve_positive
+from dvsviz.tracking.normal_equations import landmark_jacobians, solve_views
+from dvsviz.tracking.smooth_motion import SmoothMotion
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class View:
-    """A keyframe as the refinement sees it: de-skewed bearings at one pose.
+    """A window as the refinement sees it: de-skewed bearings at one pose.
 
     Attributes:
         bearings: (N, 2), all events moved to the time of the pose.
         T_world_camera: pose (4, 4).
+        t_s: its time; views of one time are not tied to each other.
     """
 
     bearings: Array
     T_world_camera: Array
+    t_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -81,12 +84,13 @@ def refine(
     held: int = 1,
     rounds: int = c.REFINE_ROUNDS,
     faces: Sequence[Plane] = (),
+    rounds_with_all: int = 0,
     stop: Callable[[], bool] | None = None,
 ) -> Refinement:
     """Return the poses of the views and the plane that bring the views' edges together.
 
     Args:
-        views: keyframes; half of each one's events are held out to judge the result.
+        views: in time order; half of each one's events are held out to judge the result.
         plane: start, in the world.
         px_per_unit: resolution of the map, cells per unit.
         free: mask (6,) of rotation and position to refine.
@@ -95,12 +99,13 @@ def refine(
         rounds: association and solving, repeated.
         faces: of a panorama: the planes on which edges are looked for instead, all poses solved together; the normal is
             then not refined.
+        rounds_with_all: more rounds, with the events that were held out too, once they have judged the result.
         stop: asked before each round: no more rounds where it is true.
     """
     Ts = np.stack([v.T_world_camera for v in views])
     train = [np.ascontiguousarray(v.bearings[0::2]) for v in views]
     test = [np.ascontiguousarray(v.bearings[1::2]) for v in views]
-    start = (Ts, plane)
+    start = (Ts, plane, SmoothMotion.between(np.array([v.t_s for v in views]), Ts))
     before = disagreement(test, Ts, plane, px_per_unit, faces)
     # The gate closes over the first rounds; the rest converge with it closed.
     gates = np.geomspace(c.REFINE_GATE_START_PX, c.REFINE_GATE_END_PX, 4)
@@ -116,11 +121,20 @@ def refine(
         done += 1
         if i >= 4 and size < c.REFINE_STEP:
             break
+    after = disagreement(test, Ts, plane, px_per_unit, faces)
+    everything = [v.bearings for v in views]
+    for _ in range(rounds_with_all if after < before else 0):
+        gate = c.REFINE_GATE_END_PX
+        step = _round(everything, Ts, plane, start, px_per_unit, gate, free, solve_normal, held, faces)
+        if step is None:
+            break
+        Ts, plane, residual, landmarks, _ = step
+        done += 1
     return Refinement(
         Ts_world_camera=Ts,
         plane=plane,
         before_px=before,
-        after_px=disagreement(test, Ts, plane, px_per_unit, faces),
+        after_px=after,
         residual_px=residual,
         landmarks=landmarks,
         rounds=done,
@@ -202,30 +216,22 @@ class _Observations:
     """Landmarks as views saw them.
 
     Attributes:
+        first: of each landmark its first observation (L + 1,).
         view: of each observation (M,).
-        landmark: the same (M,), increasing.
         weight: the same (M,).
         residual: distance (M,), map px.
-        J: its derivative (M, 8) by the view's pose and the plane's normal.
-        landmarks: how many there are.
+        J: its derivative (M, 8) by the view's pose, moved in the world, and the plane's normal.
     """
 
+    first: NDArray[np.int64]
     view: NDArray[np.int64]
-    landmark: NDArray[np.int64]
     weight: Array
     residual: Array
     J: Array
-    landmarks: int
 
 
 def _observations(
-    bearings: list[Array],
-    Ts: Array,
-    plane: Plane,
-    scale: float,
-    gate: float,
-    free: NDArray[np.bool_],
-    is_face: bool,
+    bearings: list[Array], Ts: Array, plane: Plane, scale: float, gate: float, is_face: bool
 ) -> _Observations | None:
     shown = _shown(bearings, Ts, plane, scale, is_face)
     found = _landmarks(shown, gate)
@@ -248,13 +254,25 @@ def _observations(
         turn_normal_derivative(plane.normal, np.zeros(2)),
         J,
     )
-    J[:, :6][:, ~free] = 0.0
     weight, residual = np.minimum(mean[:, 0], c.REFINE_MAX_EVENTS), np.ascontiguousarray(mean[:, 1])
     # Huber on the mean residual of a landmark in a view.
     huber, off = 0.5 * gate, np.abs(residual)
     weight *= np.where(off > huber, huber / np.maximum(off, 1e-9), 1.0)
+    first = np.searchsorted(landmark, np.arange(len(ridges.xy) + 1))
+    return _Observations(first=first, view=view, weight=weight, residual=residual, J=J)
+
+
+def _together(parts: list[_Observations]) -> _Observations:
+    """Return the observations of several faces as one."""
+    if len(parts) == 1:
+        return parts[0]
+    before = np.cumsum([0, *(len(p.view) for p in parts)])
     return _Observations(
-        view=view, landmark=landmark, weight=weight, residual=residual, J=J, landmarks=len(ridges.xy)
+        first=np.concatenate([*(p.first[:-1] + k for p, k in zip(parts, before, strict=False)), before[-1:]]),
+        view=np.concatenate([p.view for p in parts]),
+        weight=np.concatenate([p.weight for p in parts]),
+        residual=np.concatenate([p.residual for p in parts]),
+        J=np.concatenate([p.J for p in parts]),
     )
 
 
@@ -262,7 +280,7 @@ def _round(
     bearings: list[Array],
     Ts: Array,
     plane: Plane,
-    start: tuple[Array, Plane],
+    start: tuple[Array, Plane, SmoothMotion],
     scale: float,
     gate: float,
     free: NDArray[np.bool_],
@@ -270,46 +288,48 @@ def _round(
     held: int,
     faces: Sequence[Plane],
 ) -> tuple[Array, Plane, float, int, float] | None:
-    size = 6 * len(Ts) + 2
-    A, g = np.zeros((size, size)), np.zeros(size)
-    squares, weights, total = 0.0, 0.0, 0
-    for face in faces or (plane,):
-        seen = _observations(bearings, Ts, face, scale, gate, free, bool(faces))
-        if seen is None:
-            continue
-        reduce_normal_equations(seen.view, seen.landmark, seen.weight, seen.residual, seen.J, seen.landmarks, A, g)
-        squares += float(seen.weight @ seen.residual**2)
-        weights += float(seen.weight.sum())
-        total += seen.landmarks
-    if weights <= 0:
+    parts = [_observations(bearings, Ts, face, scale, gate, bool(faces)) for face in faces or (plane,)]
+    seen = _together([p for p in parts if p is not None]) if any(p is not None for p in parts) else None
+    if seen is None or not seen.weight.sum() > 0:
         return None
-    fixed = np.zeros(size, dtype=bool)
-    fixed[: 6 * held] = True
-    fixed[:-2] |= np.tile(~free, len(Ts))
-    fixed[-2:] = not solve_normal
+    residual_px = float(np.sqrt(seen.weight @ seen.residual**2 / seen.weight.sum()))
+    live = np.concatenate([np.tile(free, len(Ts)), [solve_normal] * 2])
+    live[: 6 * held] = False
+    # In units of an observation's variance.
     strength = c.REFINE_CORRELATED * c.REFINE_VARIANCE_PX2
-    prior = np.full(size, strength / c.REFINE_PRIOR_POSE**2)
+    prior = np.full(len(live), strength / c.REFINE_PRIOR_POSE**2 * min(1.0, c.REFINE_PRIOR_VIEWS / len(Ts)))
     prior[-2:] = strength / c.REFINE_PRIOR_NORMAL_RAD**2
-    A[np.diag_indices(size)] += prior
-    g += prior * _offset(start, Ts, plane)
-    live = ~fixed
-    x = np.zeros(size)
-    x[live] = solve_positive(A[np.ix_(live, live)], -g[live])
+    gradient = prior * _offset(start[0], start[1], Ts, plane)
+    motion = start[2]
+    gradient[:-2] += strength * motion.gradient(Ts)
+    x = solve_views(
+        seen.first,
+        seen.view,
+        seen.weight,
+        seen.residual,
+        seen.J,
+        prior,
+        gradient,
+        motion.middle,
+        motion.tie,
+        strength * motion.information,
+        live,
+        c.REFINE_ITERATIONS,
+        c.REFINE_TOLERANCE,
+    )
     limit = np.abs(x).max()
     if limit > 0.2:
         x *= 0.2 / limit
     dx = x[:-2].reshape(-1, 6)
-    Ts, R = Ts.copy(), Ts[:, :3, :3]
-    Ts[:, :3, 3] += np.einsum("kij,kj->ki", R, dx[:, 3:])
-    Ts[:, :3, :3] = R @ se3.exp_so3(dx[:, :3])
+    Ts = Ts.copy()
+    Ts[:, :3, 3] += dx[:, 3:]
+    Ts[:, :3, :3] = se3.exp_so3(dx[:, :3]) @ Ts[:, :3, :3]
     plane = Plane(normal=turn_normal(plane.normal, x[-2:]), distance=plane.distance)
-    return Ts, plane, float(np.sqrt(squares / weights)), total, float(limit)
+    return Ts, plane, residual_px, len(seen.first) - 1, float(limit)
 
 
-def _offset(start: tuple[Array, Plane], Ts: Array, plane: Plane) -> Array:
-    """Return how far (6 K + 2,) poses and normal have moved from the start, in the current tangent spaces."""
-    R = Ts[:, :3, :3]
-    R_start_now = np.swapaxes(start[0][:, :3, :3], 1, 2) @ R
-    shift = np.einsum("kji,kj->ki", R, Ts[:, :3, 3] - start[0][:, :3, 3])
-    tilt = tangent_basis(plane.normal).T @ (plane.normal - start[1].normal)
-    return np.concatenate([np.concatenate([se3.log_so3(R_start_now), shift], axis=1).ravel(), tilt])
+def _offset(Ts_start: Array, plane_start: Plane, Ts: Array, plane: Plane) -> Array:
+    """Return how far (6 K + 2,), in the world, poses and normal have moved from the start."""
+    turned = se3.log_so3(Ts[:, :3, :3] @ np.swapaxes(Ts_start[:, :3, :3], 1, 2))
+    tilt = tangent_basis(plane.normal).T @ (plane.normal - plane_start.normal)
+    return np.concatenate([np.concatenate([turned, Ts[:, :3, 3] - Ts_start[:, :3, 3]], axis=1).ravel(), tilt])

@@ -1,4 +1,4 @@
-"""A refinement as one job: keyframes adjusted, the map made anew, every window put back on it.
+"""A refinement as one job: windows adjusted together, those between carried along, the map made anew.
 
 The job reads a frozen copy of what the tracker knew and gives back what should take its place, so that it can run
 beside the tracker. What it costs is the tracker's time only where it has to be waited for.
@@ -29,6 +29,15 @@ Array = NDArray[np.float64]
 
 # Windows that a thread puts back on the map in one call.
 _TOGETHER = 32
+# Level of the map from which on they are aligned: they lie near.
+_FIRST_LEVEL = 1
+
+
+def _evenly(indices: list[int], most: int) -> list[int]:
+    """Return at most so many of the indices, the first and the last among them."""
+    if len(indices) <= most:
+        return indices
+    return [indices[i] for i in np.unique(np.linspace(0, len(indices) - 1, most).round().astype(int))]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -72,7 +81,7 @@ class Refiner:
         plane: Plane,
         *,
         first: bool,
-        passes: int = 1,
+        last: bool = False,
         faces: Sequence[Plane] = (),
         dropped: threading.Event | None = None,
     ) -> Revised:
@@ -82,67 +91,57 @@ class Refiner:
             traces: all windows so far, keyframes among them.
             plane: as known.
             first: also make the map anew where the refinement is refused: the first one was written while drifting.
-            passes: how often every window is put back on the map, which is made anew each time.
+            last: at the recording's end: with more rounds.
             faces: the planes of a panorama, in place of the one plane.
             dropped: set where the result is not wanted any more: then nothing is revised.
         """
-        anchors = [t for t in traces if t.keyframe >= 0]
-        if len(anchors) > c.REFINE_MAX_VIEWS:
-            pick = np.unique(np.linspace(0, len(anchors) - 1, c.REFINE_MAX_VIEWS).round().astype(int))
-            anchors = [anchors[i] for i in pick]
         planes = tuple(faces) or (plane,)
-        views = [
-            View(
-                bearings=t.deskewed(planes[nearest(planes, t.T_world_camera)]),
-                T_world_camera=t.T_world_camera,
-            )
-            for t in anchors
-        ]
+        chosen = self._chosen(traces)
         result = refine(
-            views,
+            [self._view(t, planes, traces[0].mid_us) for t in chosen],
             planes[0],
             self.camera.focal_px,
             free=self.free,
             solve_normal=self.solve_normal,
-            rounds=c.REFINE_ROUNDS if passes > 1 or len(views) <= c.REFINE_EARLY else c.REFINE_ROUNDS_LATER,
+            rounds=c.REFINE_ROUNDS if last else c.REFINE_ROUNDS_LATER,
             faces=faces if len(faces) > 1 else (),
+            rounds_with_all=c.REFINE_ROUNDS_WITH_ALL if last else 0,
             stop=dropped.is_set if dropped is not None else None,
         )
         if dropped is not None and dropped.is_set():
             return Revised(traces=tuple(traces), plane=plane, planar_map=None, text="dropped", accepted=False)
         text = (
-            f"refinement of {len(views)} keyframes: disagreement {result.before_px:.3f} to {result.after_px:.3f} px, "
+            f"refinement of {len(chosen)} windows: disagreement {result.before_px:.3f} to {result.after_px:.3f} px, "
             f"{'accepted' if result.accepted else 'refused'}"
         )
         kept = list(traces)
         if result.accepted:
-            moved = {t.keyframe: T for t, T in zip(anchors, result.Ts_world_camera, strict=True)}
-            kept = correct(kept, moved)
+            kept = correct(kept, {t.window: T for t, T in zip(chosen, result.Ts_world_camera, strict=True)})
             planes = (result.plane,) if len(planes) == 1 else planes
         elif not first:
             return Revised(traces=tuple(traces), plane=plane, planar_map=None, text=text, accepted=False)
-        planar_map, kept = self._all_back(kept, planes)
-        for _ in range(1, passes):
-            planar_map, kept = self._all_back(kept, planes, first_level=2)
+        planar_map = self.build(kept, planes[nearest(planes, kept[-1].T_world_camera)])
         return Revised(
             traces=tuple(kept), plane=planar_map.plane, planar_map=planar_map, text=text, accepted=result.accepted
         )
 
-    def _all_back(
-        self, traces: Sequence[Trace], planes: Sequence[Plane], *, first_level: int = 1
-    ) -> tuple[PlanarMap, list[Trace]]:
-        """Return the map (on the plane of the last window) and the traces put back, each on that of its own plane."""
-        number = [nearest(planes, t.T_world_camera) for t in traces]
-        poses = np.empty((len(traces), 4, 4))
-        last: PlanarMap | None = None
-        for k in dict.fromkeys([*number, number[-1]][::-1]):
-            planar_map = self.build(traces, planes[k])
-            last = planar_map if last is None else last
-            its = [i for i, n in enumerate(number) if n == k]
-            poses[its] = self._poses(planar_map, [traces[i] for i in its], first_level=first_level)
-        if last is None:
-            raise ValueError("traces: expected at least one")
-        return last, with_poses(traces, poses)
+    @staticmethod
+    def _chosen(traces: Sequence[Trace]) -> list[Trace]:
+        """Return the windows that are refined, in order: keyframes, and others evenly between them."""
+        keyframes = [i for i, t in enumerate(traces) if t.keyframe >= 0]
+        others = [i for i, t in enumerate(traces) if t.keyframe < 0]
+        keyframes = _evenly(keyframes, c.REFINE_MAX_VIEWS // 2)
+        others = _evenly(others, c.REFINE_MAX_VIEWS - len(keyframes))
+        return [traces[i] for i in sorted(keyframes + others)]
+
+    @staticmethod
+    def _view(trace: Trace, planes: Sequence[Plane], start_us: int) -> View:
+        """Return a window as it is refined; one that was weak is only carried along by those around it."""
+        bearings = np.zeros((0, 2))
+        if trace.is_trusted and trace.keyframe != HELD:
+            bearings = trace.deskewed(planes[nearest(planes, trace.T_world_camera)])
+        t_s = (trace.mid_us - start_us) * 1e-6
+        return View(bearings=bearings, T_world_camera=trace.T_world_camera, t_s=t_s)
 
     def settle(self, traces: Sequence[Trace], plane: Plane) -> Revised:
         """Return every window put back on the map of all, pulled to the first pose, again and again.
@@ -153,7 +152,7 @@ class Refiner:
         kept = list(traces)
         planar_map = self.build(kept, plane)
         for _ in range(c.SETTLE_PASSES):
-            kept = self.put_back(planar_map, kept, anchored=c.SETTLE_ANCHOR**-2)
+            kept = self._put_back(planar_map, kept, anchored=c.SETTLE_ANCHOR**-2)
             planar_map = self.build(kept, plane)
         text = f"{len(kept)} windows put back on their common map"
         return Revised(traces=tuple(kept), plane=plane, planar_map=planar_map, text=text, accepted=False)
@@ -184,7 +183,7 @@ class Refiner:
             add_to_map(planar_map, trace, (self.camera.height, self.camera.width), self.camera.matrix)
         planar_map.freeze_px = c.FREEZE_DISPLACEMENT_PX
         planar_map.settle()
-        planar_map.prepare(1)
+        planar_map.prepare(_FIRST_LEVEL)
         return planar_map
 
     def append(self, planar_map: PlanarMap, before: Trace, after: Trace, later: Sequence[Trace]) -> list[Trace]:
@@ -211,25 +210,15 @@ class Refiner:
                 add_to_map(planar_map, moved, sensor, self.camera.matrix)
         return with_poses(later, np.array(poses).reshape(-1, 4, 4))
 
-    def put_back(
-        self, planar_map: PlanarMap, traces: Sequence[Trace], *, anchored: float = 0.0, first_level: int = 1
-    ) -> list[Trace]:
-        """Return the traces aligned with a map, on both cores."""
-        return with_poses(traces, self._poses(planar_map, traces, anchored=anchored, first_level=first_level))
-
-    def _poses(
-        self, planar_map: PlanarMap, traces: Sequence[Trace], *, anchored: float = 0.0, first_level: int = 1
-    ) -> Array:
-        """Return the poses (N, 4, 4) of traces aligned with a map; those that said nothing stay."""
-        planar_map.prepare(first_level)
+    def _put_back(self, planar_map: PlanarMap, traces: Sequence[Trace], *, anchored: float) -> list[Trace]:
+        """Return the traces aligned with a map, on both cores; those that said nothing stay."""
+        planar_map.prepare(_FIRST_LEVEL)
         some = [traces[i : i + _TOGETHER] for i in range(0, len(traces), _TOGETHER)]
         with ThreadPoolExecutor(c.CORES) as pool:
-            found = pool.map(partial(self._aligned, planar_map, anchored=anchored, first_level=first_level), some)
-            return np.concatenate([np.zeros((0, 4, 4)), *found])
+            found = pool.map(partial(self._aligned, planar_map, anchored=anchored), some)
+            return with_poses(traces, np.concatenate([np.zeros((0, 4, 4)), *found]))
 
-    def _aligned(
-        self, planar_map: PlanarMap, traces: Sequence[Trace], *, anchored: float = 0.0, first_level: int = 1
-    ) -> Array:
+    def _aligned(self, planar_map: PlanarMap, traces: Sequence[Trace], *, anchored: float = 0.0) -> Array:
         picks = [np.zeros(0, dtype=np.int64) if t.keyframe == HELD else thinned(len(t.bearings)) for t in traces]
         found = align_each(
             planar_map,
@@ -240,7 +229,7 @@ class Refiner:
             np.stack([t.velocity for t in traces]),
             focal_px=self.camera.focal_px,
             free=self.free,
-            first_level=first_level,
+            first_level=_FIRST_LEVEL,
             anchored=anchored,
         )
         return np.array([one.T_world_camera for one in found])

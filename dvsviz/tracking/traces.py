@@ -97,23 +97,23 @@ class Trace:
         return bearings[np.isfinite(bearings).all(axis=1)]
 
 
-def correct(traces: Sequence[Trace], keyframe_poses: dict[int, Array]) -> list[Trace]:
-    """Return the traces re-expressed after their keyframes moved.
+def correct(traces: Sequence[Trace], poses: dict[int, Array]) -> list[Trace]:
+    """Return the traces re-expressed after some of them moved.
 
-    A keyframe's correction `T_new T_old^-1` is interpolated in time between keyframes and held outside them;
+    A correction `T_new T_old^-1` is interpolated in time between windows that have one and held outside them;
     velocities follow from the corrected neighbours.
 
     Args:
         traces: in time order.
-        keyframe_poses: refined poses (4, 4) by keyframe number.
+        poses: refined poses (4, 4) by window.
     """
     # Of windows at one time, as coarse clocks make them, the last one's correction holds.
-    anchors = list({t.mid_us: t for t in traces if t.keyframe in keyframe_poses}.values())
+    anchors = list({t.mid_us: t for t in traces if t.window in poses}.values())
     if not anchors:
         return list(traces)
-    C = np.stack([keyframe_poses[t.keyframe] @ se3.inverse(t.T_world_camera) for t in anchors])
+    C = np.stack([poses[t.window] @ se3.inverse(t.T_world_camera) for t in anchors])
     # The correction's translation is taken where the camera is, not at the world's origin.
-    shift = np.stack([keyframe_poses[t.keyframe][:3, 3] - t.T_world_camera[:3, 3] for t in anchors])
+    shift = np.stack([poses[t.window][:3, 3] - t.T_world_camera[:3, 3] for t in anchors])
     s = np.array([(t.mid_us - traces[0].mid_us) * 1e-6 for t in anchors])
     at = np.array([(t.mid_us - traces[0].mid_us) * 1e-6 for t in traces])
     inside = np.clip(at, s[0], s[-1])
