@@ -193,7 +193,7 @@ def test_pose_equations_against_a_slow_reference() -> None:
     H, g = np.zeros((6, 6)), np.zeros(6)
     total, inside = pose_equations(
         rays, start + t_s, T[:3, :3].copy(), T[:3, 3].copy(), np.array(VELOCITY), TILTED, plane.distance, to_map, image,
-        0.7, H, g,
+        0.7, False, H, g,
     )  # fmt: skip
     slow_H, slow_g, slow_total, slow_inside = np.zeros((6, 6)), np.zeros(6), 0.0, 0
     for b, t in zip(bearings.astype(float), t_s, strict=True):

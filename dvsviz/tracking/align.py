@@ -72,6 +72,7 @@ def align(
     view: Array | None = None,
     first_level: int = 0,
     iterations: tuple[int, ...] = c.ALIGN_ITERATIONS,
+    to_lines: bool = False,
 ) -> Alignment:
     """Return the pose at time 0 of `t_s` that puts the events on the map's edges.
 
@@ -91,6 +92,7 @@ def align(
             count where the map is still being written; None where it is not to be changed.
         first_level: 0 for the whole pyramid, more to start finer.
         iterations: steps at each level.
+        to_lines: then bring the events' distances to the map's lines to their least, where most lie by one.
     """
     (found,) = align_each(
         planar_map,
@@ -106,6 +108,7 @@ def align(
         view=view,
         first_level=first_level,
         iterations=iterations,
+        to_lines=to_lines,
     )
     return found
 
@@ -125,6 +128,7 @@ def align_each(
     view: Array | None = None,
     first_level: int = 0,
     iterations: tuple[int, ...] = c.ALIGN_ITERATIONS,
+    to_lines: bool = False,
 ) -> list[Alignment]:
     """Return N windows, each aligned as by `align`; one without events keeps its pose.
 
@@ -142,6 +146,7 @@ def align_each(
         view: as in `align`, where the first window sees it.
         first_level: as in `align`.
         iterations: as in `align`.
+        to_lines: as in `align`.
     """
     plane, count = planar_map.plane, len(Ts_world_camera)
     young = np.zeros((0, 3))
@@ -152,6 +157,9 @@ def align_each(
     _descend_each(
         # Three images of one kind, whichever are used: one compiled kernel.
         tuple(planar_map.level(max(i, first_level)) for i in range(len(c.ALIGN_BLURS_PX))),
+        planar_map.smooth() if to_lines else planar_map.level(first_level),
+        to_lines,
+        view is not None and len(young) >= c.LINE_YOUNG * len(view),
         np.array(iterations),
         first_level,
         np.concatenate(bearings),
@@ -177,7 +185,7 @@ def align_each(
             T_world_camera=Ts[k],
             value=float(found[k, 0]),
             inside=float(found[k, 1]),
-            information=information[k] / c.RESIDUAL_VARIANCE,
+            information=information[k],
             iterations=int(found[k, 2]),
             step_px=float(found[k, 3]),
         )
@@ -210,6 +218,8 @@ def default_prior() -> Array:
 @numba.njit(cache=True, nogil=True)
 def _descend(
     image,
+    to_lines,
+    keeps_depth,
     rays,
     t_s,
     R,
@@ -233,22 +243,24 @@ def _descend(
     hessian, gradient = np.zeros((6, 6)), np.zeros(6)
     unused, chance, at_once = np.zeros((6, 6)), np.zeros(6), np.zeros(young.shape[0])
     total, inside, taken, step_px = 0.0, 0, 0, 0.0
+    robust = c.LINE_HUBER_PX if to_lines else c.ALIGN_ROBUST
+    variance = c.LINE_VARIANCE_PX2 if to_lines else c.RESIDUAL_VARIANCE
     for _ in range(limit):
         hessian[:] = 0.0
         gradient[:] = 0.0
         total, inside = pose_equations(
-            rays, t_s, R, p, velocity, normal, distance, target, image, c.ALIGN_ROBUST, hessian, gradient
+            rays, t_s, R, p, velocity, normal, distance, target, image, robust, to_lines, hessian, gradient
         )
-        information[:] = hessian
-        if young.shape[0] > 0:
+        information[:] = hessian / variance
+        if not to_lines and young.shape[0] > 0:
             chance[:] = 0.0
             pose_equations(
-                young, at_once, R, p, velocity, normal, distance, target, image, c.ALIGN_ROBUST, unused, chance
+                young, at_once, R, p, velocity, normal, distance, target, image, robust, False, unused, chance
             )
             # Only along the normal, where events are drawn together.
             n = R.T @ normal
             gradient[3:] -= n * (by_chance * inside * (chance[3:] @ n))
-        A = hessian + prior * c.RESIDUAL_VARIANCE
+        A = hessian + prior * variance
         # How far the pose has moved from the prediction, in the current camera frame: the prior pulls it back.
         offset = np.empty(6)
         D = R_prior.T @ R
@@ -256,16 +268,21 @@ def _descend(
         offset[1] = 0.5 * (D[0, 2] - D[2, 0])
         offset[2] = 0.5 * (D[1, 0] - D[0, 1])
         offset[3:] = R.T @ (p - p_prior)
-        g = gradient + (prior * c.RESIDUAL_VARIANCE) @ offset
+        g = gradient + (prior * variance) @ offset
         if anchored > 0.0:
             # The same towards the identity.
-            pull = anchored * c.RESIDUAL_VARIANCE
+            pull = anchored * variance
             g[0] += pull * 0.5 * (R[2, 1] - R[1, 2])
             g[1] += pull * 0.5 * (R[0, 2] - R[2, 0])
             g[2] += pull * 0.5 * (R[1, 0] - R[0, 1])
             g[3:] += pull * (R.T @ p)
             for q in range(6):
                 A[q, q] += pull
+        if keeps_depth:
+            # Lines that are still being written go along with a camera that draws near.
+            n = R.T @ normal
+            g[3:] -= n * (g[3:] @ n)
+            A[3:, 3:] += np.outer(n, n) * (1e3 * np.trace(A))
         for q in range(6):
             if not free[q]:
                 A[q, :] = 0.0
@@ -294,6 +311,9 @@ def _descend(
 @numba.njit(cache=True, nogil=True)
 def _descend_each(
     images,
+    smooth,
+    to_lines,
+    keeps_depth,
     limits,
     first_level,
     bearings,
@@ -326,6 +346,8 @@ def _descend_each(
         for i in range(first_level, len(images)):
             value, inside, taken, step_px = _descend(
                 images[i],
+                False,
+                False,
                 rays,
                 t_s[a:b],
                 R,
@@ -347,5 +369,37 @@ def _descend_each(
             )
             found[k, 0], found[k, 1], found[k, 3] = value, inside, step_px
             found[k, 2] += taken
+        if to_lines:
+            R_bright, p_bright, by_lines = R.copy(), p.copy(), np.zeros((6, 6))
+            share, inside, taken, step_px = _descend(
+                smooth,
+                True,
+                keeps_depth,
+                rays,
+                t_s[a:b],
+                R,
+                p,
+                R0,
+                p0,
+                velocity[k],
+                normal,
+                distance,
+                target,
+                free,
+                prior,
+                anchored,
+                c.LINE_ITERATIONS,
+                focal_px,
+                young,
+                by_chance,
+                by_lines,
+            )
+            found[k, 2] += taken
+            if share >= c.LINE_SHARE:
+                information[k] = by_lines
+                found[k, 3] = step_px
+            else:
+                R[:] = R_bright
+                p[:] = p_bright
         Ts[k, :3, :3] = R
         Ts[k, :3, 3] = p

@@ -177,6 +177,7 @@ def placed(
         target,
         planar_map.level(-1),
         c.ALIGN_ROBUST,
+        False,
         information,
         gradient,
     )

@@ -40,6 +40,15 @@ ANCHOR: Final = 0.03
 # Share of what a view's edges by chance pull a camera towards the plane that is taken off where the map is written.
 # Without it rotdisk's camera flies into its map within a second; 1 costs accuracy where the texture is sparse.
 CHANCE_SHARE: Final = 0.5
+# After the last level: distances to the lines of the map blurred by so much (map px; 1.5 is half as accurate), steps,
+# Huber's limit (px), the variance of a distance (px²) and the share of the events inside the map that must lie by one.
+LINE_BLUR_PX: Final = 1.0
+LINE_ITERATIONS: Final = 4
+LINE_HUBER_PX: Final = 1.0
+LINE_VARIANCE_PX2: Final = 1.0
+LINE_SHARE: Final = 0.68
+# Share of a view's grid, where the map is still being written, from which on its lines are not yet believed.
+LINE_YOUNG: Final = 0.2
 # A step below this image displacement, px, ends a level.
 ALIGN_STEP_PX: Final = 0.02
 

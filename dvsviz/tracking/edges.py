@@ -85,15 +85,7 @@ def find_ridges(cells: Array, shape: tuple[int, int], gate: float) -> Ridges | N
     if len(found) < 50:
         return None
     found = found[:: max(1, len(found) // c.REFINE_LANDMARKS)]
-    cols, rows = found[:, 0].astype(np.int64), found[:, 1].astype(np.int64)
-    mask = np.full(shape, 255, dtype=np.uint8)
-    mask[rows, cols] = 0
-    distance, label = cv2.distanceTransformWithLabels(mask, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
-    # OpenCV numbers the zero pixels itself: translate its numbers to ours.
-    label = np.asarray(label, dtype=np.int32)
-    table = np.full(len(found) + 1, -1, dtype=np.int32)
-    table[label[rows, cols]] = np.arange(len(found), dtype=np.int32)
-    relabel(label, np.asarray(distance, dtype=np.float32), table, gate + 1.5)
+    label = nearest_pixel(found, shape[0], shape[1], gate + 1.5)
     return Ridges(
         xy=found[:, :2] + found[:, 2:3] * found[:, 3:],
         normal=np.ascontiguousarray(found[:, 3:]),
@@ -144,11 +136,20 @@ def ridge_pixels(smooth, gx, gy, xx, yy, xy, level):
 
 
 @numba.njit(cache=True, nogil=True)
-def relabel(label, distance, table, limit):
-    """Replace labels (rows, columns) by their entry in `table`, in place; by -1 beyond a distance `limit`."""
-    for r in range(label.shape[0]):
-        for q in range(label.shape[1]):
-            label[r, q] = -1 if distance[r, q] > limit else table[label[r, q]]
+def nearest_pixel(found, rows, cols, limit):
+    """Return which of pixels (L, 2 or more: column, row) is nearest to each cell (rows, columns); -1 beyond a limit."""
+    label = np.full((rows, cols), -1, dtype=np.int32)
+    square = np.full((rows, cols), np.float32(limit * limit))
+    reach = int(limit)
+    for j in range(found.shape[0]):
+        q, r = int(found[j, 0]), int(found[j, 1])
+        for y in range(max(0, r - reach), min(rows, r + reach + 1)):
+            for x in range(max(0, q - reach), min(cols, q + reach + 1)):
+                d = np.float32((x - q) * (x - q) + (y - r) * (y - r))
+                if d < square[y, x]:
+                    square[y, x] = d
+                    label[y, x] = j
+    return label
 
 
 @numba.njit(cache=True, nogil=True)

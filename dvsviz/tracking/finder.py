@@ -274,6 +274,7 @@ class PoseFinder:
             anchored=c.ANCHOR**-2 if self.motion.status is Status.INITIALIZING else 0.0,
             view=self._view,
             first_level=first_level,
+            to_lines=True,
         )
 
     def drift(
@@ -330,6 +331,9 @@ class PoseFinder:
             return trace, None, ""
         self.mapper.look(found.T_world_camera, may_close=False)
         alignment = self._align(sampled, mid_s, found.T_world_camera, self.motion.omega, self.motion.velocity, None)
+        if diagnose.weakest(alignment.information, self.free)[0] > c.WEAK_CONDITION:
+            # On one line, or one point, anything fits: a cover's edge that sweeps over the image.
+            return trace, None, ""
         since_s = (mid_us - self.motion.t_us) * 1e-6
         self.failures.found_again(self.motion.T_world_camera, alignment.T_world_camera, since_s)
         self.motion.status = Status.TRACKING

@@ -77,8 +77,8 @@ class PlanarMap:
         self.votes: Image = np.zeros((rows, cols), dtype=np.float32)
         self.exposure: Image = np.zeros((rows // b, cols // b), dtype=np.float32)
         # M itself, and blurred.
-        self._sharp, *self._levels = (
-            _Level(image=np.zeros_like(self.votes), dirty=(0, 0, rows, cols)) for _ in (0, *c.ALIGN_BLURS_PX)
+        self._sharp, self._smooth, *self._levels = (
+            _Level(image=np.zeros_like(self.votes), dirty=(0, 0, rows, cols)) for _ in (0, 0, *c.ALIGN_BLURS_PX)
         )
         self.adds = 0
         self.density = 0.0
@@ -117,7 +117,7 @@ class PlanarMap:
         self.votes = np.pad(self.votes, ((top, bottom), (left, right)))
         self.exposure = np.pad(self.exposure, ((top // b, bottom // b), (left // b, right // b)))
         self.origin = self.origin - np.array([left, top]) / s
-        for level in (self._sharp, *self._levels):
+        for level in (self._sharp, self._smooth, *self._levels):
             level.image = np.pad(level.image, ((top, bottom), (left, right)))
             if level.dirty is not None:
                 r0, c0, r1, c1 = level.dirty
@@ -171,7 +171,7 @@ class PlanarMap:
         # Events may lie beyond what was in view when the window began.
         low, high = np.minimum(written, seen)[:2], np.maximum(written, seen)[2:]
         r0, c0, r1, c1 = (int(v) for v in (*low, *high))
-        for level in (self._sharp, *self._levels) if r1 > r0 else ():
+        for level in (self._sharp, self._smooth, *self._levels) if r1 > r0 else ():
             d = level.dirty or (r0, c0, r1, c1)
             level.dirty = (min(d[0], r0), min(d[1], c0), max(d[2], r1), max(d[3], c1))
 
@@ -179,20 +179,30 @@ class PlanarMap:
         """Bring the pyramid from a level on up to date, before threads read it."""
         for number in range(first, len(c.ALIGN_BLURS_PX)):
             self.level(number)
+        self.smooth()
 
     def level(self, number: int) -> Image:
-        """Return M blurred by one of `ALIGN_BLURS_PX`, up to date, for reading; what is not asked for is not made."""
+        """Return M blurred by one of `ALIGN_BLURS_PX`, up to date, for reading; what is not asked for is not made.
+
+        A thin line loses its height to the blur: it is brought back, so that each level still reaches about 1.
+        """
+        sigma = c.ALIGN_BLURS_PX[number]
+        return self._blurred(self._levels[number], sigma, min(1.0 + 1.5 * sigma, 4.0))
+
+    def smooth(self) -> Image:
+        """Return M blurred for its ridges, up to date: as high as the blur leaves it."""
+        return self._blurred(self._smooth, c.LINE_BLUR_PX, 1.0)
+
+    def _blurred(self, level: _Level, sigma: float, gain: float) -> Image:
         if self._is_density_due:
             self.density = occupied_percentile(self.votes, self.exposure, c.EXPOSURE_CELL_PX, 0.9)
             self._is_density_due = False
-        level = self._levels[number]
         box = self._stale(level)
         if box is None or self.density <= 0:
             return level.image
         edge = self._edge()
         rows, cols = edge.shape
         r0, c0, r1, c1 = box
-        sigma = c.ALIGN_BLURS_PX[number]
         # OpenCV's Gaussian reaches 4 sigma for float images.
         pad = int(4 * sigma) + 1
         # A halo of one blur around what changed, and one more to blur it from.
@@ -201,8 +211,7 @@ class PlanarMap:
         # Whole vectors: a cell is rounded alike wherever the block begins, and a restored map is the same to the bit.
         t0, t1 = t0 // _LANES * _LANES, min(cols, -(-t1 // _LANES) * _LANES)
         blurred = cv2.GaussianBlur(edge[s0:s1, t0:t1], (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
-        # A thin line loses its height to the blur: brought back, so that each level still reaches about 1.
-        blurred *= np.float32(min(1.0 + 1.5 * sigma, 4.0))
+        blurred *= np.float32(gain)
         cv2.threshold(
             blurred[a0 - s0 : a1 - s0, b0 - t0 : b1 - t0],
             1.0,

@@ -197,18 +197,20 @@ class Refiner:
         """
         R = after.T_world_camera[:3, :3] @ before.T_world_camera[:3, :3].T
         shift = after.T_world_camera[:3, 3] - before.T_world_camera[:3, 3]
-        sensor, poses = (self.camera.height, self.camera.width), []
+        sensor, appended = (self.camera.height, self.camera.width), []
         for trace in later:
             T = trace.T_world_camera
+            # It keeps its own velocity, in the camera's frame: the difference of two poses that were aligned anew is
+            # noise where the texture says little, and the tracker would fly on with it.
             moved = replace(trace, T_world_camera=se3.pose(R @ T[:3, :3], T[:3, 3] + shift))
             # Round the corner of a panorama there is nothing of this face to align with.
             near = not self.is_panorama or turned_away(planar_map.plane, [moved])[0] < c.FACE_APART_RAD
             if near:
                 moved = replace(moved, T_world_camera=self._aligned(planar_map, [moved])[0])
-            poses.append(moved.T_world_camera)
+            appended.append(moved)
             if moved.is_trusted and near:
                 add_to_map(planar_map, moved, sensor, self.camera.matrix)
-        return with_poses(later, np.array(poses).reshape(-1, 4, 4))
+        return appended
 
     def _put_back(self, planar_map: PlanarMap, traces: Sequence[Trace], *, anchored: float) -> list[Trace]:
         """Return the traces aligned with a map, on both cores; those that said nothing stay."""
@@ -230,6 +232,7 @@ class Refiner:
             focal_px=self.camera.focal_px,
             free=self.free,
             first_level=_FIRST_LEVEL,
+            to_lines=True,
             anchored=anchored,
         )
         return np.array([one.T_world_camera for one in found])
