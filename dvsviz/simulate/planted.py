@@ -86,7 +86,7 @@ def plant(name: Planted, out: Path, *, seed: int = 3) -> None:
     """
     rng = np.random.default_rng(seed)
     if name == "jerk":
-        simulate(out, scene=shapes, motion=jerked(rng, 3.0), seconds=1.8, seed=seed)
+        simulate(out, scene=shapes, motion=jerked(rng, 3.0, degrees=45.0), seconds=1.8, seed=seed)
         return
     wall = shapes_until(blank if name == "bare" else stripes)
     # Fewer events an edge than usual: two seconds of stripes are three million events.

@@ -40,12 +40,18 @@ def cause_of(
     is_weak = np.isfinite(judged.condition) and judged.condition > c.WEAK_CONDITION
     if is_weak and images.edge_pixels >= c.STRIPES_EDGE_PIXELS:
         return Cause.WEAK_DIRECTION, f"{in_words(judged.weak_direction)} cannot be seen in this texture"
+    fast = Cause.TOO_FAST, f"faster than the search: {images.displacement_px:.0f} px in one window"
+    is_fast = images.displacement_px > c.FAILURE_FAST_PX
+    sharper = max(c.FAILURE_SHARP, c.FAILURE_SHARPER * images.contrast_after)
+    if is_fast and images.contrast_before > sharper:
+        # A motion that the camera did not make smears the edges that are there: it stopped, or turned, at once.
+        return fast
     if images.edge_pixels < c.TEXTURE_EDGE_PIXELS:
         return Cause.TOO_LITTLE_TEXTURE, f"too little texture: {images.edge_pixels} edge pixels in view"
     if alignment is not None and alignment.inside < c.LOST_INSIDE:
         return Cause.LEFT_MAP, f"left the map: {100 * alignment.inside:.0f} % of the events fall on it"
-    if images.displacement_px > c.FAILURE_FAST_PX:
-        return Cause.TOO_FAST, f"faster than the search: {images.displacement_px:.0f} px in one window"
+    if is_fast:
+        return fast
     if is_uneven:
         return Cause.NOT_PLANAR, "the scene is not a plane: track it with --motion auto or translation"
     if np.isfinite(judged.score):

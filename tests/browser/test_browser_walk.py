@@ -29,6 +29,8 @@ CAUSES = {
     "jerk": {"faster than the search"},
 }
 TRACKED_S = 600.0
+# After the camera was put right by hand, by steps, it takes so long until the map and the poses agree again.
+OVER_US = 250_000
 TRACKING = STATUSES.index(Status.TRACKING)
 
 
@@ -150,11 +152,12 @@ def test_failures_are_found_understood_repaired_and_taken_along(
     assert branch_share > origin_share
     repaired = session_of("branches/jerk try")
     with open_session(repaired) as session:
-        status, poses = session.column("status"), len(session.trajectory())
+        status, t_us, poses = session.column("status"), session.column("start_us"), len(session.trajectory())
     # Before, nothing was tracked from here on; now the blow is got over and the rest is tracked to its end.
     assert not np.any(before[window:] == TRACKING)
-    assert np.mean(status[window:] == TRACKING) > 0.85
-    assert np.all(status[-10:] == TRACKING)
+    over = t_us > t_us[window] + OVER_US
+    assert np.count_nonzero(over) >= 5
+    assert np.all(status[over] == TRACKING)
 
     # It is taken along as a trajectory and for rerun.
     branch.get_by_role("link", name="open").click()
