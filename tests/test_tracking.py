@@ -30,7 +30,7 @@ from dvsviz.geometry.trajectory import Trajectory
 from dvsviz.session.records import Failure, Status, WindowResult
 from dvsviz.simulate.simulate import simulate
 from dvsviz.tracking import constants as c
-from dvsviz.tracking.align import align, free_parameters, view_rays
+from dvsviz.tracking.align import align, free_parameters
 from dvsviz.tracking.diagnose import in_words, weakest
 from dvsviz.tracking.kernels import map_nodes
 from dvsviz.tracking.measure import measure
@@ -39,6 +39,7 @@ from dvsviz.tracking.planar_map import PlanarMap
 from dvsviz.tracking.refine import View, refine
 from dvsviz.tracking.refining import Revised
 from dvsviz.tracking.relocalize import relocalize
+from dvsviz.tracking.sampling import view_rays
 from dvsviz.tracking.smooth_motion import SmoothMotion
 from dvsviz.tracking.traces import Trace
 from dvsviz.tracking.tracker import Tracker

@@ -13,7 +13,6 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from dvsviz.geometry.camera import Camera
 from dvsviz.geometry.plane import homography_map_camera, points_to_map
 from dvsviz.tracking import constants as c
 from dvsviz.tracking.kernels import exp_rotation, still_written
@@ -21,8 +20,6 @@ from dvsviz.tracking.planar_map import PlanarMap
 from dvsviz.tracking.pose_equations import pose_equations, turned
 
 Array = NDArray[np.float64]
-
-_VIEW_COLUMNS = 18
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -191,23 +188,6 @@ def align_each(
         )
         for k in range(count)
     ]
-
-
-def thinned(count: int) -> NDArray[np.int64]:
-    """Return which (M,) of `count` events are aligned: at most `ALIGN_EVENTS`, evenly spread."""
-    most = min(count, c.ALIGN_EVENTS)
-    return (np.arange(most) * (count / max(1, most))).astype(np.int64)
-
-
-def view_rays(camera: Camera) -> Array:
-    """Return the rays (G, 3), camera frame, of a coarse grid over a camera's image."""
-    rows = max(2, round(_VIEW_COLUMNS * camera.height / camera.width))
-    x, y = np.meshgrid(
-        (np.arange(_VIEW_COLUMNS) + 0.5) * camera.width / _VIEW_COLUMNS - 0.5,
-        (np.arange(rows) + 0.5) * camera.height / rows - 0.5,
-    )
-    x, y = (x.ravel() - camera.cx) / camera.fx, (y.ravel() - camera.cy) / camera.fy
-    return np.column_stack([x, y, np.ones(len(x))])
 
 
 def default_prior() -> Array:

@@ -19,7 +19,7 @@ from dvsviz.geometry.plane import Plane
 from dvsviz.session.records import Status
 from dvsviz.tracking import constants as c
 from dvsviz.tracking import diagnose
-from dvsviz.tracking.align import Alignment, align, align_each, thinned, view_rays
+from dvsviz.tracking.align import Alignment, align, align_each
 from dvsviz.tracking.bootstrap import motion_by_contrast
 from dvsviz.tracking.by_contrast import follow_by_contrast
 from dvsviz.tracking.failures import FailureWatch
@@ -28,6 +28,7 @@ from dvsviz.tracking.mapping import Mapper
 from dvsviz.tracking.measure import WindowImages, measure
 from dvsviz.tracking.prediction import difference
 from dvsviz.tracking.relocalize import relocalize
+from dvsviz.tracking.sampling import thinned, view_rays
 from dvsviz.tracking.state import Motion
 from dvsviz.tracking.traces import HELD, Trace
 from dvsviz.tracking.translation import ReliefOdometry

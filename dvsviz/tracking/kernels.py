@@ -252,3 +252,15 @@ def slope_tensor(edge, H, K, width, height, columns):
             xy += gx * gy
             yy += gy * gy
     return xx, xy, yy
+
+
+@numba.njit(cache=True, nogil=True)
+def adjugate(H):
+    """Return the inverse of a homography (3, 3), up to scale; also of one that has none."""
+    out = np.empty((3, 3))
+    for i in range(3):
+        a, b = (i + 1) % 3, (i + 2) % 3
+        for j in range(3):
+            p, q = (j + 1) % 3, (j + 2) % 3
+            out[j, i] = H[a, p] * H[b, q] - H[a, q] * H[b, p]
+    return out

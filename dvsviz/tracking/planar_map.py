@@ -18,6 +18,7 @@ from dvsviz.contrast.kernels import is_inside, splat
 from dvsviz.geometry.plane import Plane
 from dvsviz.session.records import MapRevision
 from dvsviz.tracking import constants as c
+from dvsviz.tracking.kernels import adjugate
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -285,18 +286,6 @@ def frozen_vote(points, px_per_unit, origin, votes, exposure, block, limit, weig
             r0, c0 = min(r0, int(y)), min(c0, int(x))
             r1, c1 = max(r1, int(y) + 2), max(c1, int(x) + 2)
     return r0, c0, r1, c1
-
-
-@numba.njit(cache=True, nogil=True)
-def adjugate(H):
-    """Return the inverse of a homography (3, 3), up to scale; also of one that has none."""
-    out = np.empty((3, 3))
-    for i in range(3):
-        a, b = (i + 1) % 3, (i + 2) % 3
-        for j in range(3):
-            p, q = (j + 1) % 3, (j + 2) % 3
-            out[j, i] = H[a, p] * H[b, q] - H[a, q] * H[b, p]
-    return out
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -19,10 +19,11 @@ from dvsviz.geometry import se3
 from dvsviz.geometry.camera import Camera
 from dvsviz.geometry.plane import Plane
 from dvsviz.tracking import constants as c
-from dvsviz.tracking.align import align_each, thinned
+from dvsviz.tracking.align import align_each
 from dvsviz.tracking.panorama import is_full, nearest, turned_away
 from dvsviz.tracking.planar_map import PlanarMap
 from dvsviz.tracking.refine import View, refine
+from dvsviz.tracking.sampling import thinned
 from dvsviz.tracking.traces import HELD, Trace, add_to_map, correct, with_poses
 
 Array = NDArray[np.float64]
