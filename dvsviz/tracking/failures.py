@@ -40,6 +40,9 @@ def cause_of(
     is_weak = np.isfinite(judged.condition) and judged.condition > c.WEAK_CONDITION
     if is_weak and images.edge_pixels >= c.STRIPES_EDGE_PIXELS:
         return Cause.WEAK_DIRECTION, f"{in_words(judged.weak_direction)} cannot be seen in this texture"
+    if is_uneven:
+        # One plane's motion blurs such a scene: few edges and wild velocities follow from it.
+        return Cause.NOT_PLANAR, "the scene is not a plane: track it with --motion auto or translation"
     fast = Cause.TOO_FAST, f"faster than the search: {images.displacement_px:.0f} px in one window"
     is_fast = images.displacement_px > c.FAILURE_FAST_PX
     sharper = max(c.FAILURE_SHARP, c.FAILURE_SHARPER * images.contrast_after)
@@ -52,8 +55,6 @@ def cause_of(
         return Cause.LEFT_MAP, f"left the map: {100 * alignment.inside:.0f} % of the events fall on it"
     if is_fast:
         return fast
-    if is_uneven:
-        return Cause.NOT_PLANAR, "the scene is not a plane: track it with --motion auto or translation"
     if np.isfinite(judged.score):
         return (
             Cause.UNKNOWN,
