@@ -28,6 +28,12 @@ export function writeCompared(names) {
 
 let last = [null, null];
 
+/** What was about to be written is dropped: the user has written an address. */
+export function forgetAddress() {
+  clearTimeout(timer);
+  timer = 0;
+}
+
 /** Writes the address bar, at most every 300 ms: browsers refuse to be hurried. */
 export function writeAddress(session, window, now = false) {
   last = [session, window];

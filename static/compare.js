@@ -59,6 +59,15 @@ export class Compare {
     byId("tab-compare").click();
   }
 
+  /** Sessions that an address asks for: now, or when the session that they are for is open. */
+  ask(names, session) {
+    if (!names.length) return;
+    this.#wanted = names;
+    if (session !== this.state.session || !this.state.columns) return;
+    this.#base = null;
+    this.#opened();
+  }
+
   remove(name) {
     this.#set(this.names.filter((other) => other !== name));
   }

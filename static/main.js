@@ -1,6 +1,6 @@
 // The composition root of the page: it makes the parts and connects them.
 
-import { address, readAddress, writeAddress } from "./address.js";
+import { address, forgetAddress, readAddress, writeAddress } from "./address.js";
 import * as api from "./api.js";
 import { Beside } from "./beside.js";
 import { Branching } from "./branch.js";
@@ -262,9 +262,11 @@ listenToKeys({
   help: toggleHelp,
   escape: () => setLoop(null),
 });
-addEventListener("hashchange", () => {
-  const { token, session, window } = readAddress();
+addEventListener("hashchange", (event) => {
+  const { token, session, window, compare: names } = readAddress(new URL(event.newURL).hash);
+  forgetAddress();
   if (token) return void enter(token).catch((error) => door(error.message));
+  compare.ask(names, session);
   if (session && session !== state.session) viewing.open(session, window);
   else if (session && window !== null && window !== state.window) byHand(window);
 });

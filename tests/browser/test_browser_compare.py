@@ -67,7 +67,6 @@ def test_an_address_with_a_question_mark_compares_too(dashboard: Dashboard) -> N
 def test_what_cannot_be_compared_is_said(dashboard: Dashboard) -> None:
     dashboard.enter("barcode", 40)
     dashboard.page.evaluate("location.hash = '#session=barcode&window=40&compare=nothing'")
-    dashboard.page.reload()
     dashboard.page.locator("#panel-compare [role=alert]").wait_for()
     expect(dashboard.page.locator("#panel-compare")).to_contain_text(
         "there is no session of this name", use_inner_text=True
