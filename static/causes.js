@@ -28,7 +28,7 @@ export const CAUSES = {
   too_fast: {
     name: "faster than the search",
     means: "From one window to the next the image moved farther than the search reaches, so that it started beside the right answer.",
-    from: "The estimated motion moves the image by more than 12 px in one window, or a lost window's own motion lies more than 6 px from the one it was tracked with.",
+    from: "The estimated motion moves the image by more than 12 px in one window, or smears edges that are sharper without it, or a lost window's own motion lies more than 6 px from the one it was tracked with.",
     todo: "Take shorter windows (fewer events), or give the pose by hand: try again from here and drag the camera.",
   },
   local_optimum: {

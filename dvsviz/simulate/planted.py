@@ -62,14 +62,14 @@ def to_the_right(rng: np.random.Generator, seconds: float) -> Motion:
     return free_motion(position)
 
 
-def jerked(rng: np.random.Generator, seconds: float, *, degrees: float = 25.0) -> Motion:
-    """Return a hand that is struck after 1.2 s: it turns to the right by so many degrees in 40 ms."""
+def jerked(rng: np.random.Generator, seconds: float) -> Motion:
+    """Return a hand that is struck after 1.2 s: it turns to the right by 30 degrees in 8 ms."""
     hand = handheld(rng, seconds, scale=0.5)
 
     def motion(t_s: Array) -> Array:
         T = hand(t_s).copy()
         phi = np.zeros((len(T), 3))
-        phi[:, 1] = np.radians(degrees) * smooth_step(t_s, 1.2, 1.24)
+        phi[:, 1] = np.radians(30.0) * smooth_step(t_s, 1.2, 1.208)
         T[:, :3, :3] = T[:, :3, :3] @ se3.exp_so3(phi)
         return T
 
@@ -86,7 +86,7 @@ def plant(name: Planted, out: Path, *, seed: int = 3) -> None:
     """
     rng = np.random.default_rng(seed)
     if name == "jerk":
-        simulate(out, scene=shapes, motion=jerked(rng, 3.0, degrees=45.0), seconds=1.8, seed=seed)
+        simulate(out, scene=shapes, motion=jerked(rng, 3.0), seconds=1.8, seed=seed)
         return
     wall = shapes_until(blank if name == "bare" else stripes)
     # Fewer events an edge than usual: two seconds of stripes are three million events.

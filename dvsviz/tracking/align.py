@@ -235,7 +235,7 @@ def _descend(
         if not to_lines and young.shape[0] > 0:
             chance[:] = 0.0
             pose_equations(
-                young, at_once, R, p, velocity, normal, distance, target, image, robust, False, unused, chance
+                young, at_once, R, p, velocity, normal, distance, target, image, robust, to_lines, unused, chance
             )
             # Only along the normal, where events are drawn together.
             n = R.T @ normal
@@ -323,11 +323,16 @@ def _descend_each(
         turned(bearings[a:b], t_s[a:b], omega[k], rays)
         R, p = Ts[k, :3, :3].copy(), Ts[k, :3, 3].copy()
         R0, p0 = R.copy(), p.copy()
-        for i in range(first_level, len(images)):
+        R_bright, p_bright, own = R, p, np.zeros((6, 6))
+        # The lines come after the last level. One call for both: it is compiled once.
+        for i in range(first_level, len(images) + (1 if to_lines else 0)):
+            is_last = i == len(images)
+            if is_last:
+                R_bright, p_bright = R.copy(), p.copy()
             value, inside, taken, step_px = _descend(
-                images[i],
-                False,
-                False,
+                smooth if is_last else images[i],
+                is_last,
+                is_last and keeps_depth,
                 rays,
                 t_s[a:b],
                 R,
@@ -341,45 +346,20 @@ def _descend_each(
                 free,
                 prior,
                 anchored,
-                limits[i],
+                c.LINE_ITERATIONS if is_last else limits[i],
                 focal_px,
                 young,
                 by_chance,
-                information[k],
-            )
-            found[k, 0], found[k, 1], found[k, 3] = value, inside, step_px
-            found[k, 2] += taken
-        if to_lines:
-            R_bright, p_bright, by_lines = R.copy(), p.copy(), np.zeros((6, 6))
-            share, inside, taken, step_px = _descend(
-                smooth,
-                True,
-                keeps_depth,
-                rays,
-                t_s[a:b],
-                R,
-                p,
-                R0,
-                p0,
-                velocity[k],
-                normal,
-                distance,
-                target,
-                free,
-                prior,
-                anchored,
-                c.LINE_ITERATIONS,
-                focal_px,
-                young,
-                by_chance,
-                by_lines,
+                own,
             )
             found[k, 2] += taken
-            if share >= c.LINE_SHARE:
-                information[k] = by_lines
-                found[k, 3] = step_px
-            else:
+            if is_last and value < c.LINE_SHARE:
                 R[:] = R_bright
                 p[:] = p_bright
+                continue
+            information[k] = own
+            found[k, 3] = step_px
+            if not is_last:
+                found[k, 0], found[k, 1] = value, inside
         Ts[k, :3, :3] = R
         Ts[k, :3, 3] = p

@@ -298,9 +298,9 @@ FAILURE_EVENTS: Final = 300
 # Image displacement in one window, px, beyond the reach of the alignment's coarsest blur.
 FAILURE_FAST_PX: Final = 12.0
 # A window whose contrast without motion is at least the first number, and so many times that with the motion it was
-# given, shows edges that the motion smears: 0.06 to 0.13 and three times at the end of a blow, 0.01 before a bare wall.
+# given, shows edges that the motion smears: 0.06 to 0.3 and 1.7 to 3 times at a blow's end, 0.01 before a bare wall.
 FAILURE_SHARP: Final = 0.03
-FAILURE_SHARPER: Final = 2.0
+FAILURE_SHARPER: Final = 1.5
 # Difference (px in one window) between the motion that was predicted and the one that the window itself shows, beyond
 # which the search could not follow.
 FAILURE_JUMP_PX: Final = 6.0

@@ -16,6 +16,10 @@ from dvsviz.tracking.planar_map import edge_block, occupied_percentile
 Array = NDArray[np.float64]
 
 _ONE = np.ones(1, dtype=np.float32)
+# Sobel's two factors, each with itself or with the other: of the stencils of second derivatives.
+_SMOOTH_5 = np.array([1.0, 4.0, 6.0, 4.0, 1.0])
+_FIRST_5 = np.array([-1.0, -2.0, 0.0, 2.0, 1.0])
+_SECOND_5 = np.array([1.0, 0.0, -2.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -26,13 +30,15 @@ class Shown:
         views: their numbers (V,).
         first: index of each one's first event (V + 1,).
         bearings: (N, 2), one view after the other.
-        cells: where they lie on the plane (N, 2); NaN behind the camera.
+        cells: where they lie on the plane (N, 2), on a grid that holds nearly all of them; NaN behind the camera.
+        shape: of the grid (rows, columns).
     """
 
     views: NDArray[np.int64]
     first: NDArray[np.int64]
     bearings: Array
     cells: Array
+    shape: tuple[int, int]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -78,10 +84,7 @@ def find_ridges(cells: Array, shape: tuple[int, int], gate: float) -> Ridges | N
     edge = np.empty_like(votes)
     edge_block(votes, ones, max(shape), 0, 0, c.MAP_SATURATION / p90, edge)
     smooth = cv2.GaussianBlur(edge, (0, 0), c.REFINE_RIDGE_BLUR_PX)
-    gx, gy = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=1 / 8), cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=1 / 8)
-    xx, yy = cv2.Sobel(gx, cv2.CV_32F, 1, 0, scale=1 / 8), cv2.Sobel(gy, cv2.CV_32F, 0, 1, scale=1 / 8)
-    xy = cv2.Sobel(gx, cv2.CV_32F, 0, 1, scale=1 / 8)
-    found = ridge_pixels(smooth, gx, gy, xx, yy, xy, c.REFINE_RIDGE_LEVEL)
+    found = ridge_pixels(smooth, c.REFINE_RIDGE_LEVEL)
     if len(found) < 50:
         return None
     found = found[:: max(1, len(found) // c.REFINE_LANDMARKS)]
@@ -94,19 +97,37 @@ def find_ridges(cells: Array, shape: tuple[int, int], gate: float) -> Ridges | N
 
 
 @numba.njit(cache=True, nogil=True)
-def ridge_pixels(smooth, gx, gy, xx, yy, xy, level):
+def first_derivatives(image, r, q):
+    """Return d/dx and d/dy of an image at a pixel: Sobel's, by 8."""
+    a, b, c_ = image[r - 1, q - 1], image[r - 1, q], image[r - 1, q + 1]
+    d, f = image[r, q - 1], image[r, q + 1]
+    g, h, i = image[r + 1, q - 1], image[r + 1, q], image[r + 1, q + 1]
+    return (c_ - a + 2.0 * (f - d) + i - g) / 8.0, (g - a + 2.0 * (h - b) + i - c_) / 8.0
+
+
+@numba.njit(cache=True, nogil=True)
+def second_derivatives(image, r, q):
+    """Return the second derivatives xx, yy, xy of an image at a pixel: Sobel's by 8, twice."""
+    xx = yy = xy = 0.0
+    for k in range(5):
+        row = image[r + k - 2]
+        a, b, m, d, e = row[q - 2], row[q - 1], row[q], row[q + 1], row[q + 2]
+        xx += _SMOOTH_5[k] * (a - 2.0 * m + e)
+        yy += _SECOND_5[k] * (a + 4.0 * (b + d) + 6.0 * m + e)
+        xy += _FIRST_5[k] * (e - a + 2.0 * (d - b))
+    return xx / 64.0, yy / 64.0, xy / 64.0
+
+
+@numba.njit(cache=True, nogil=True)
+def ridge_pixels(smooth, level):
     """Return the ridge pixels (L, 5) of a smooth image: column, row, offset to the ridge along its normal, normal.
 
     Steger's ridge: the second derivative across the line is most negative, the first one vanishes within the pixel. A
-    line, not a blob or noise: curved across much more than along, and high enough.
+    line, not a blob or noise: curved across much more than along, and high enough. Derivatives are Sobel's, the second
+    ones Sobel's twice, and taken only where they are asked for.
 
     Args:
         smooth: image (rows, columns).
-        gx: its first derivatives (rows, columns), along the columns.
-        gy: along the rows.
-        xx: its second derivatives (rows, columns).
-        yy: the same.
-        xy: the same.
         level: least value.
     """
     rows, cols = smooth.shape
@@ -116,14 +137,16 @@ def ridge_pixels(smooth, gx, gy, xx, yy, xy, level):
         for q in range(4, cols - 4):
             if not smooth[r, q] > level:
                 continue
-            half, diff = 0.5 * (xx[r, q] + yy[r, q]), 0.5 * (xx[r, q] - yy[r, q])
-            root = np.sqrt(diff * diff + xy[r, q] * xy[r, q])
+            xx, yy, xy = second_derivatives(smooth, r, q)
+            half, diff = 0.5 * (xx + yy), 0.5 * (xx - yy)
+            root = np.sqrt(diff * diff + xy * xy)
             curvature = half - root
             if curvature >= 0.0 or abs(half + root) >= 0.5 * abs(curvature):
                 continue
-            angle = 0.5 * np.arctan2(-xy[r, q], -diff)
+            angle = 0.5 * np.arctan2(-xy, -diff)
             nx, ny = np.cos(angle), np.sin(angle)
-            along = -(gx[r, q] * nx + gy[r, q] * ny) / min(curvature, -1e-6)
+            gx, gy = first_derivatives(smooth, r, q)
+            along = -(gx * nx + gy * ny) / min(curvature, -1e-6)
             if abs(along * nx) > 0.6 or abs(along * ny) > 0.6:
                 continue
             if n == out.shape[0]:
@@ -162,8 +185,8 @@ def to_cells(bearings, first, homographies, cells):
 
 
 @numba.njit(cache=True, nogil=True)
-def associate(cells, bearings, first, label, xy, normal, gate, sums):
-    """Sum, for each view and landmark, count, residual and bearing of the events within the gate of its line.
+def associate(cells, bearings, first, label, xy, normal, gate, least):
+    """Return what views saw of landmarks: the means over the events within the gate of its line.
 
     Args:
         cells: of the events (N, 2).
@@ -173,10 +196,22 @@ def associate(cells, bearings, first, label, xy, normal, gate, sums):
         xy: landmarks (L, 2).
         normal: of their lines (L, 2).
         gate: largest distance to the line.
-        sums: (L, V, 4), added to in place.
+        least: events, with which a view has seen a landmark.
+
+    Returns:
+        Landmark (M,), view (M,), and (M, 4) events, mean residual and mean bearing, sorted by landmark, then view.
     """
     rows, cols = label.shape
-    for k in range(sums.shape[1]):
+    count = xy.shape[0]
+    # One view after the other: what is summed stays in the cache.
+    sums, touched, begin = (
+        np.zeros((count, 4)),
+        np.empty(count, dtype=np.int64),
+        np.zeros(count + 1, dtype=np.int64),
+    )
+    seen, mean, n = np.empty((1024, 2), dtype=np.int64), np.empty((1024, 4)), 0
+    for k in range(first.shape[0] - 1):
+        t = 0
         for i in range(first[k], first[k + 1]):
             x, y = cells[i, 0], cells[i, 1]
             if not (x >= 0.0 and y >= 0.0 and x < cols - 1 and y < rows - 1):
@@ -187,35 +222,30 @@ def associate(cells, bearings, first, label, xy, normal, gate, sums):
             r = normal[j, 0] * (x - xy[j, 0]) + normal[j, 1] * (y - xy[j, 1])
             if abs(r) > gate:
                 continue
-            sums[j, k, 0] += 1.0
-            sums[j, k, 1] += r
-            sums[j, k, 2] += bearings[i, 0]
-            sums[j, k, 3] += bearings[i, 1]
-
-
-@numba.njit(cache=True, nogil=True)
-def means(sums, least):
-    """Return what views saw of landmarks with at least `least` events, sorted by landmark, then view.
-
-    Args:
-        sums: (L, V, 4) of `associate`.
-        least: events.
-
-    Returns:
-        Landmark (M,), view (M,), and (M, 4) events, mean residual and mean bearing.
-    """
-    n = 0
-    for j in range(sums.shape[0]):
-        for k in range(sums.shape[1]):
-            n += sums[j, k, 0] >= least
-    landmark, view, mean = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64), np.empty((n, 4))
-    n = 0
-    for j in range(sums.shape[0]):
-        for k in range(sums.shape[1]):
-            count = sums[j, k, 0]
-            if count >= least:
-                landmark[n], view[n], mean[n, 0] = j, k, count
-                for i in range(1, 4):
-                    mean[n, i] = sums[j, k, i] / count
+            if sums[j, 0] == 0.0:
+                touched[t] = j
+                t += 1
+            sums[j, 0] += 1.0
+            sums[j, 1] += r
+            sums[j, 2] += bearings[i, 0]
+            sums[j, 3] += bearings[i, 1]
+        while n + t > mean.shape[0]:
+            seen, mean = np.concatenate((seen, seen)), np.concatenate((mean, mean))
+        for i in range(t):
+            j = touched[i]
+            if sums[j, 0] >= least:
+                seen[n, 0], seen[n, 1], mean[n, 0] = j, k, sums[j, 0]
+                for q in range(1, 4):
+                    mean[n, q] = sums[j, q] / sums[j, 0]
+                begin[j + 1] += 1
                 n += 1
-    return landmark, view, mean
+            sums[j] = 0.0
+    for j in range(count):
+        begin[j + 1] += begin[j]
+    landmark, view, sorted_mean = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64), np.empty((n, 4))
+    for i in range(n):
+        at = begin[seen[i, 0]]
+        begin[seen[i, 0]] += 1
+        landmark[at], view[at] = seen[i]
+        sorted_mean[at] = mean[i]
+    return landmark, view, sorted_mean

@@ -43,18 +43,16 @@ def cause_of(
     if is_uneven:
         # One plane's motion blurs such a scene: few edges and wild velocities follow from it.
         return Cause.NOT_PLANAR, "the scene is not a plane: track it with --motion auto or translation"
-    fast = Cause.TOO_FAST, f"faster than the search: {images.displacement_px:.0f} px in one window"
-    is_fast = images.displacement_px > c.FAILURE_FAST_PX
-    sharper = max(c.FAILURE_SHARP, c.FAILURE_SHARPER * images.contrast_after)
-    if is_fast and images.contrast_before > sharper:
+    moved = f"faster than the search: {images.displacement_px:.0f} px in one window"
+    if images.contrast_before > max(c.FAILURE_SHARP, c.FAILURE_SHARPER * images.contrast_after):
         # A motion that the camera did not make smears the edges that are there: it stopped, or turned, at once.
-        return fast
+        return Cause.TOO_FAST, f"{moved}, which it did not make"
     if images.edge_pixels < c.TEXTURE_EDGE_PIXELS:
         return Cause.TOO_LITTLE_TEXTURE, f"too little texture: {images.edge_pixels} edge pixels in view"
     if alignment is not None and alignment.inside < c.LOST_INSIDE:
         return Cause.LEFT_MAP, f"left the map: {100 * alignment.inside:.0f} % of the events fall on it"
-    if is_fast:
-        return fast
+    if images.displacement_px > c.FAILURE_FAST_PX:
+        return Cause.TOO_FAST, moved
     if np.isfinite(judged.score):
         return (
             Cause.UNKNOWN,

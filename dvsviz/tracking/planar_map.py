@@ -109,17 +109,20 @@ class PlanarMap:
             return False
         if lo.min() >= 0 and hi[0] < cols - 1 and hi[1] < rows - 1:
             return False
-        grow = np.array(
-            [max(0.0, -lo[0]), max(0.0, -lo[1]), max(0.0, hi[0] - cols + 2), max(0.0, hi[1] - rows + 2)]
-        )
+        grow = np.maximum([-lo[0], -lo[1], hi[0] - cols + 2, hi[1] - rows + 2], 0.0)
         left, top, right, bottom = (int(-(-(g + c.MAP_MARGIN_PX) // b) * b) if g > 0 else 0 for g in grow)
         if (rows + top + bottom) * (cols + left + right) > c.MAP_MAX_CELLS:
             return False
-        self.votes = np.pad(self.votes, ((top, bottom), (left, right)))
+        margins = ((top, bottom), (left, right))
+        self.votes = np.pad(self.votes, margins)
         self.exposure = np.pad(self.exposure, ((top // b, bottom // b), (left // b, right // b)))
         self.origin = self.origin - np.array([left, top]) / s
         for level in (self._sharp, self._smooth, *self._levels):
-            level.image = np.pad(level.image, ((top, bottom), (left, right)))
+            grown = ((top, bottom), (left, right))
+            # What was never made need not be kept.
+            level.image = (
+                np.pad(level.image, grown) if level.density else np.zeros(self.votes.shape, dtype=np.float32)
+            )
             if level.dirty is not None:
                 r0, c0, r1, c1 = level.dirty
                 level.dirty = (r0 + top, c0 + left, r1 + top, c1 + left)

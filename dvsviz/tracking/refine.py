@@ -24,7 +24,7 @@ from dvsviz.geometry.plane import (
     turn_normal_derivative,
 )
 from dvsviz.tracking import constants as c
-from dvsviz.tracking.edges import Ridges, Shown, associate, bounds, find_ridges, means, to_cells
+from dvsviz.tracking.edges import Ridges, Shown, associate, bounds, find_ridges, to_cells
 from dvsviz.tracking.normal_equations import landmark_jacobians, solve_views
 from dvsviz.tracking.smooth_motion import SmoothMotion
 
@@ -153,7 +153,9 @@ def _shown(bearings: list[Array], Ts: Array, plane: Plane, scale: float, is_face
     cells = np.empty_like(together)
     H = np.array([homography_map_camera(Ts[k], plane) for k in views]).reshape(-1, 3, 3)
     to_cells(together, first, np.array([[scale], [scale], [1.0]]) * H, cells)
-    return Shown(views=np.array(views, dtype=np.int64), first=first, bearings=together, cells=cells)
+    low, shape = bounds(cells)
+    cells -= low
+    return Shown(views=np.array(views, dtype=np.int64), first=first, bearings=together, cells=cells, shape=shape)
 
 
 def _on_face(bearings: Array, T: Array, plane: Plane) -> NDArray[np.bool_]:
@@ -165,18 +167,20 @@ def _on_face(bearings: Array, T: Array, plane: Plane) -> NDArray[np.bool_]:
     return ahead & (np.abs(q[:, :2]) < c.FACE_REFINED * q[:, 2:]).all(axis=1)
 
 
-def _landmarks(shown: Shown, gate: float) -> tuple[Ridges, Array] | None:
-    """Return the ridges that views show together, and for each ridge and view (L, V, 4) what `associate` sums."""
+def _landmarks(
+    shown: Shown, gate: float
+) -> tuple[Ridges, tuple[NDArray[np.int64], NDArray[np.int64], Array]] | None:
+    """Return the ridges that views show together, and what `associate` returns of them: landmark, view, means."""
     if len(shown.views) < 2:
         return None
-    low, shape = bounds(shown.cells)
-    cells = shown.cells - low
+    cells, shape = shown.cells, shown.shape
     ridges = find_ridges(cells, shape, gate)
     if ridges is None:
         return None
-    sums = np.zeros((len(ridges.xy), len(shown.views), 4))
-    associate(cells, shown.bearings, shown.first, ridges.label, ridges.xy, ridges.normal, gate, sums)
-    return ridges, sums
+    seen = associate(
+        cells, shown.bearings, shown.first, ridges.label, ridges.xy, ridges.normal, gate, c.REFINE_MIN_EVENTS
+    )
+    return ridges, seen
 
 
 def disagreement(
@@ -194,7 +198,7 @@ def disagreement(
         found = _landmarks(_shown(bearings, Ts, face, scale, bool(faces)), c.REFINE_JUDGE_GATE_PX)
         if found is None:
             continue
-        landmark, _, mean = means(found[1], c.REFINE_MIN_EVENTS)
+        landmark, _, mean = found[1]
         shared = np.bincount(landmark)[landmark] >= 2
         landmark, weight, value = (
             landmark[shared],
@@ -237,8 +241,7 @@ def _observations(
     found = _landmarks(shown, gate)
     if found is None:
         return None
-    ridges, sums = found
-    landmark, row, mean = means(sums, c.REFINE_MIN_EVENTS)
+    ridges, (landmark, row, mean) = found
     view = shown.views[row]
     J = np.empty((len(view), 8))
     landmark_jacobians(

@@ -222,6 +222,9 @@ class Tracker:
     def _asks_relief(self) -> bool:
         """True where a window is asked if the scene is a plane; a stream that is only told so is not held up by it."""
         is_behind = self.stretch > 1.0 or self._mapper.job is not None
+        if self.config.motion == "planar" and self._motion.status not in (Status.TRACKING, Status.INITIALIZING):
+            # A blow looks like depth: within the window the camera does not move evenly.
+            return False
         return self._is_undecided and not (self._mapper.is_live and self.config.motion == "planar" and is_behind)
 
     @property
