@@ -9,10 +9,11 @@ STAMP := $(VENV)/.installed
 run: $(STAMP)
 	$(BIN)/python app.py
 
-# Checking types and compiling kernels take a core each.
+# Checking types and compiling kernels take a core each, and so do two halves of the tests: a file is never split, and
+# the browser's, the longest, begin.
 test: $(STAMP) browser
 	$(MAKE) -j2 --output-sync=target lint kernels
-	$(BIN)/python -m pytest $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder $(PYTEST_ARGS)
 
 # Compiles the tracker's kernels once: tests with servers in other processes would each wait for them.
 kernels: $(STAMP)
@@ -32,7 +33,7 @@ install: $(STAMP) browser
 $(STAMP): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "dvsviz needs Python 3.11 or newer; set PYTHON=/path/to/python3.11"; exit 1; }
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --disable-pip-version-check -q --require-hashes -r requirements.lock
+	$(BIN)/python -m pip install --disable-pip-version-check -q --no-compile --require-hashes -r requirements.lock
 	$(BIN)/python -m pip install --disable-pip-version-check -q --no-deps --no-build-isolation -e .
 	touch $(STAMP)
 

@@ -1,4 +1,5 @@
 import os
+from itertools import zip_longest
 from pathlib import Path
 
 import pytest
@@ -18,3 +19,16 @@ def data_dir() -> Path:
 def _own_cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
     # Converted recordings of tests go to one folder a test run, never to the user's own cache.
     monkeypatch.setenv("DVSVIZ_CACHE", str(tmp_path_factory.getbasetemp() / "cache"))
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Where two workers share the files, the browser's come first and one by one: two at once wait for each other."""
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        return
+    files: dict[Path, list[pytest.Item]] = {}
+    for item in items:
+        files.setdefault(item.path, []).append(item)
+    browser = [own for path, own in files.items() if path.parent.name == "browser"]
+    others = [own for path, own in files.items() if path.parent.name != "browser"]
+    mixed = [own for pair in zip_longest(browser, others, fillvalue=[]) for own in pair]
+    items[:] = [item for own in mixed for item in own]
