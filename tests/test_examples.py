@@ -20,7 +20,7 @@ SAID = {
 }
 # What takes long has a short version.
 OPTIONS = {
-    "04_registration_study": ["--quick"],
+    "04_registration_study": ["--quick", "--methods", "none", "essential", "kabsch-weighted", "pnp-iterative"],
     "05_events_and_frames": ["--motion", "handheld", "--seconds", "0.4", "--skips", "3"],
 }
 
