@@ -78,6 +78,21 @@ def test_blocks_agree_with_the_whole(tmp_path: Path) -> None:
         assert source.index_at(int(at)) == np.searchsorted(events.t_us, at)
 
 
+def test_what_is_read_ahead_is_told_where_it_is_asked_for(tmp_path: Path) -> None:
+    # More events than are checked on opening, in blocks of 2^18; one time in the third block is not in order.
+    block, count = 1 << 18, 5_000_000
+    path = write(tmp_path / "long.h5", make_events(np.arange(count)))
+    with h5py.File(path, "r+") as file:
+        _set(file, "events/t", np.r_[np.arange(2 * block + 10), 0, np.arange(2 * block + 11, count)])
+    recording = read_recording(path)
+    for first in (0, block // 2, block, block + block // 2):
+        assert recording.events.read(first, first + block // 2).t_us[0] == first
+    with pytest.raises(FormatError, match="event 524298: time runs backwards"):
+        recording.events.read(2 * block, 2 * block + 100)
+    assert recording.events.read(block, block + 10).t_us[-1] == block + 9
+    recording.close()
+
+
 def test_no_index_where_it_would_be_huge(tmp_path: Path) -> None:
     path = write(tmp_path / "r.h5", make_events([0, 5_000_000, 7 * 3_600_000_000, 10**15]), 2)
     with h5py.File(path) as file:

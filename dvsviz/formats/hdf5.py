@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -29,7 +30,10 @@ _CHECKED_AT_OPEN = 1 << 22
 
 
 class Hdf5Events:
-    """An `EventSource` over `events/{t,x,y,p}` of an open file; each block is checked when it is first read."""
+    """An `EventSource` over `events/{t,x,y,p}` of an open file; each block is checked when it is first read.
+
+    Whoever reads on from block to block finds the next one unpacked already: HDF5 does it on another core.
+    """
 
     def __init__(self, file: h5py.File, path: Path, camera: Camera) -> None:
         self._file, self._path, self._camera = file, path, camera
@@ -41,6 +45,9 @@ class Hdf5Events:
             _refuse(path, "events", f"expected integers, got {', '.join(str(c.dtype) for c in self._columns)}")
         self._count = int(sizes[0][0])
         self._blocks: dict[int, Events] = {}
+        self._last = -1
+        self._ahead: tuple[int, Future[Events]] | None = None
+        self._reader = ThreadPoolExecutor(1, thread_name_prefix="read-ahead")
         self._lock = threading.Lock()
 
     @property
@@ -87,6 +94,7 @@ class Hdf5Events:
 
     def close(self) -> None:
         """Close the file."""
+        self._reader.shutdown(cancel_futures=True)
         self._file.close()
 
     def _time_of(self, index: int) -> int:
@@ -97,14 +105,21 @@ class Hdf5Events:
 
     def _block(self, k: int) -> Events:
         with self._lock:
-            if k in self._blocks:
-                block = self._blocks.pop(k)
-            else:
-                block = self._load(k)
+            block = self._blocks.pop(k, None)
+            if block is None:
+                block = self._unpacked(k)
                 while len(self._blocks) >= _KEPT_BLOCKS:
                     del self._blocks[next(iter(self._blocks))]
             self._blocks[k] = block
             return block
+
+    def _unpacked(self, k: int) -> Events:
+        ahead, self._ahead = self._ahead, None
+        block = ahead[1].result() if ahead is not None and ahead[0] == k else self._load(k)
+        if k == self._last + 1 and (k + 1) * _BLOCK < self._count:
+            self._ahead = (k + 1, self._reader.submit(self._load, k + 1))
+        self._last = k
+        return block
 
     def _load(self, k: int) -> Events:
         first = k * _BLOCK
