@@ -46,7 +46,7 @@ export const CAUSES = {
   not_planar: {
     name: "the scene is not planar",
     means: "What is seen lies at several depths: no plane explains how all edges move.",
-    from: "In the first windows one plane did not explain the motion, and nothing else explains the failure; “residual” shows edges left over in one part of the image.",
+    from: "In the first windows one plane did not explain the motion; “residual” shows edges left over in one part of the image.",
     todo: "Use the motion models auto or translation, which know depth, or keep the camera before one plane.",
   },
   unknown: {

@@ -121,8 +121,8 @@ EXPLANATIONS: dict[Cause, Explanation] = {
         name="the scene is not planar",
         means="What is seen lies at several depths: no plane explains how all edges move.",
         told_from=(
-            "In the first windows one plane did not explain the motion, and nothing else explains the "
-            "failure; “residual” shows edges left over in one part of the image."
+            "In the first windows one plane did not explain the motion; “residual” shows edges left over in one "
+            "part of the image."
         ),
         todo=("Use the motion models auto or translation, which know depth, or keep the camera before one plane."),
     ),
