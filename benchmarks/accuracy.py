@@ -202,6 +202,10 @@ def row(entry: SuiteEntry, folder: Path) -> Row:
         is_right and silent == 0 and alarms == 0 and (own_measure or _within(position, wanted.position_percent))
     )
     reached = reached and _within(rotation, wanted.rotation_deg) and (wanted.rtf is None or rtf >= wanted.rtf)
+    # The poses as known at the time may be twice as far off.
+    at_once = online.position_rmse_percent_of_distance, online.rotation_rmse_deg
+    reached &= own_measure or _within(at_once[0], _twice(wanted.position_percent))
+    reached &= _within(at_once[1], _twice(wanted.rotation_deg))
     return Row(
         name=entry.name,
         position=_beside(position, wanted.position_percent, "%"),
@@ -217,6 +221,10 @@ def row(entry: SuiteEntry, folder: Path) -> Row:
 
 
 _LOST = [STATUSES.index(Status.LOST), STATUSES.index(Status.RELOCALIZING)]
+
+
+def _twice(limit: float | None) -> float | None:
+    return None if limit is None else 2 * limit
 
 
 def _within(value: float | None, limit: float | None) -> bool:
