@@ -63,13 +63,13 @@ def to_the_right(rng: np.random.Generator, seconds: float) -> Motion:
 
 
 def jerked(rng: np.random.Generator, seconds: float) -> Motion:
-    """Return a hand that is struck after 1.2 s: it turns to the right by 30 degrees in 8 ms."""
+    """Return a hand that is struck after 1.2 s: it turns to the right by 25 degrees in 5 ms."""
     hand = handheld(rng, seconds, scale=0.5)
 
     def motion(t_s: Array) -> Array:
         T = hand(t_s).copy()
         phi = np.zeros((len(T), 3))
-        phi[:, 1] = np.radians(30.0) * smooth_step(t_s, 1.2, 1.208)
+        phi[:, 1] = np.radians(25.0) * smooth_step(t_s, 1.2, 1.205)
         T[:, :3, :3] = T[:, :3, :3] @ se3.exp_so3(phi)
         return T
 
