@@ -82,9 +82,8 @@ EXPLANATIONS: dict[Cause, Explanation] = {
             " beside the right answer."
         ),
         told_from=(
-            "The estimated motion moves the image by more than 12 px in one window, or smears edges that are sharper "
-            "without it, or a lost "
-            "window's own motion lies more than 6 px from the one it was tracked with."
+            "The estimated motion moves the image by more than 12 px in one window, or smears edges that are sharper"
+            " without it, or a lost window's own motion lies more than 6 px from the one it was tracked with."
         ),
         todo=(
             "Take shorter windows (fewer events), or give the pose by hand: try again from here and drag the"

@@ -99,10 +99,11 @@ def find_ridges(cells: Array, shape: tuple[int, int], gate: float) -> Ridges | N
 @numba.njit(cache=True, nogil=True)
 def first_derivatives(image, r, q):
     """Return d/dx and d/dy of an image at a pixel: Sobel's, by 8."""
-    a, b, c_ = image[r - 1, q - 1], image[r - 1, q], image[r - 1, q + 1]
-    d, f = image[r, q - 1], image[r, q + 1]
-    g, h, i = image[r + 1, q - 1], image[r + 1, q], image[r + 1, q + 1]
-    return (c_ - a + 2.0 * (f - d) + i - g) / 8.0, (g - a + 2.0 * (h - b) + i - c_) / 8.0
+    # Its eight neighbours, by the points of the compass.
+    nw, n, ne = image[r - 1, q - 1], image[r - 1, q], image[r - 1, q + 1]
+    w, e = image[r, q - 1], image[r, q + 1]
+    sw, s, se = image[r + 1, q - 1], image[r + 1, q], image[r + 1, q + 1]
+    return (ne - nw + 2.0 * (e - w) + se - sw) / 8.0, (sw - nw + 2.0 * (s - n) + se - ne) / 8.0
 
 
 @numba.njit(cache=True, nogil=True)

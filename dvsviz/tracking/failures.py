@@ -46,7 +46,7 @@ def cause_of(
     moved = f"faster than the search: {images.displacement_px:.0f} px in one window"
     if images.contrast_before > max(c.FAILURE_SHARP, c.FAILURE_SHARPER * images.contrast_after):
         # A motion that the camera did not make smears the edges that are there: it stopped, or turned, at once.
-        return Cause.TOO_FAST, f"{moved}, which it did not make"
+        return Cause.TOO_FAST, f"{moved}, with which its edges are less sharp than without"
     if images.edge_pixels < c.TEXTURE_EDGE_PIXELS:
         return Cause.TOO_LITTLE_TEXTURE, f"too little texture: {images.edge_pixels} edge pixels in view"
     if alignment is not None and alignment.inside < c.LOST_INSIDE:

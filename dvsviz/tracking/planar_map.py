@@ -118,11 +118,8 @@ class PlanarMap:
         self.exposure = np.pad(self.exposure, ((top // b, bottom // b), (left // b, right // b)))
         self.origin = self.origin - np.array([left, top]) / s
         for level in (self._sharp, self._smooth, *self._levels):
-            grown = ((top, bottom), (left, right))
             # What was never made need not be kept.
-            level.image = (
-                np.pad(level.image, grown) if level.density else np.zeros(self.votes.shape, dtype=np.float32)
-            )
+            level.image = np.pad(level.image, margins) if level.density > 0 else np.zeros_like(self.votes)
             if level.dirty is not None:
                 r0, c0, r1, c1 = level.dirty
                 level.dirty = (r0 + top, c0 + left, r1 + top, c1 + left)

@@ -29,6 +29,8 @@ from dvsviz.tracking.normal_equations import landmark_jacobians, solve_views
 from dvsviz.tracking.smooth_motion import SmoothMotion
 
 Array = NDArray[np.float64]
+# Landmark (M,), view (M,) and means (M, 4), as `associate` returns them.
+_Associated = tuple[NDArray[np.int64], NDArray[np.int64], Array]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -167,18 +169,15 @@ def _on_face(bearings: Array, T: Array, plane: Plane) -> NDArray[np.bool_]:
     return ahead & (np.abs(q[:, :2]) < c.FACE_REFINED * q[:, 2:]).all(axis=1)
 
 
-def _landmarks(
-    shown: Shown, gate: float
-) -> tuple[Ridges, tuple[NDArray[np.int64], NDArray[np.int64], Array]] | None:
-    """Return the ridges that views show together, and what `associate` returns of them: landmark, view, means."""
+def _landmarks(shown: Shown, gate: float) -> tuple[Ridges, _Associated] | None:
+    """Return the ridges that views show together, and what each view saw of them."""
     if len(shown.views) < 2:
         return None
-    cells, shape = shown.cells, shown.shape
-    ridges = find_ridges(cells, shape, gate)
+    ridges = find_ridges(shown.cells, shown.shape, gate)
     if ridges is None:
         return None
     seen = associate(
-        cells, shown.bearings, shown.first, ridges.label, ridges.xy, ridges.normal, gate, c.REFINE_MIN_EVENTS
+        shown.cells, shown.bearings, shown.first, ridges.label, ridges.xy, ridges.normal, gate, c.REFINE_MIN_EVENTS
     )
     return ridges, seen
 
