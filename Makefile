@@ -4,6 +4,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
+# Packages are not compiled when they are installed: what is imported is compiled once and kept, in any environment.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: run test kernels accuracy nightly install browser lint clean
 
 run: $(STAMP)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import array
 import contextlib
 import itertools
 import queue
@@ -18,6 +19,12 @@ from dvsviz.errors import DvsvizError
 from dvsviz.events.events import Events
 from dvsviz.live.packets import event_packet, stream_header
 
+try:
+    import fcntl
+    import termios
+except ImportError:  # not on Windows
+    fcntl = termios = None
+
 if TYPE_CHECKING:
     from dvsviz.events.recording import Recording
 
@@ -27,7 +34,7 @@ _PACKET_EVENTS = 50_000
 # Two seconds of a stream: a client that is later than that loses packets, the others do not wait for it.
 _QUEUED_PACKETS = 2000
 _GIVE_UP_S, _DRAIN_S = 2.0, 15.0
-_POLL_S, _STAYS_S, _LINGER_S = 0.02, 0.3, 0.3
+_POLL_S, _STAYS_S, _LINGER_S = 0.02, 0.3, 2.0
 
 
 class LiveError(DvsvizError):
@@ -157,18 +164,34 @@ class _Client:
         try:
             while (data := self._queue.get()) is not None:
                 self._socket.sendall(data)
-            # Readers of dv-processing throw away what they have not parsed yet when a stream ends.
-            time.sleep(_LINGER_S)
+            # Readers of dv-processing throw away what they have not parsed yet when a stream ends: it is held open
+            # until all has arrived, and for as long as a busy machine may need to read that.
+            self._linger(_DRAIN_S, until=lambda: _unsent_bytes(self._socket) == 0)
+            self._linger(_LINGER_S, until=lambda: False)
         except OSError:  # the client has gone
             pass
         finally:
             self._end()
+
+    def _linger(self, seconds: float, *, until: Callable[[], bool]) -> None:
+        end = time.monotonic() + seconds
+        while time.monotonic() < end and self.is_there and not until():
+            time.sleep(_POLL_S)
 
     def _end(self) -> None:
         self._ended = True
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
+
+
+def _unsent_bytes(connection: socket.socket) -> int:
+    """Return how many bytes the other side's system has not taken yet; 0 where the system does not tell."""
+    count = array.array("i", [0])
+    if fcntl is not None and termios is not None:
+        with contextlib.suppress(OSError):
+            fcntl.ioctl(connection, termios.TIOCOUTQ, count)
+    return count[0]
 
 
 def replay(
