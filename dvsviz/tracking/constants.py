@@ -146,6 +146,8 @@ SETTLE_ANCHOR: Final = 0.005
 CORES: Final = 2
 # Most windows in one refinement: keyframes, then others, evenly thinned beyond.
 REFINE_MAX_VIEWS: Final = 240
+# Of a live run, which shares its cores with server and page and waits for no refinement.
+REFINE_LIVE_VIEWS: Final = 120
 # Longest time between two poses, s, across which a motion is smooth, and by how much more freely it may accelerate than
 # its windows did half of the time: with 3 instead of 30 rotdisk's rate of roll is 0.96 instead of 0.81 deg/s off
 # (planar 0.80 instead of 0.71), low_texture at 1.04 instead of 0.94 %.

@@ -23,9 +23,9 @@ from dvsviz.geometry.camera import Camera
 from dvsviz.geometry.plane import Plane, homography_map_camera
 from dvsviz.tracking import constants as c
 from dvsviz.tracking.kernels import explained_share
-from dvsviz.tracking.mapping import Job, Mapper, Sampled
+from dvsviz.tracking.mapping import Mapper, Sampled
 from dvsviz.tracking.planar_map import PlanarMap
-from dvsviz.tracking.refining import Refiner, Revised
+from dvsviz.tracking.refining import Job, Refiner, Revised, evenly
 from dvsviz.tracking.traces import Trace, add_to_map, correct
 
 Array = NDArray[np.float64]
@@ -98,11 +98,6 @@ class KeyframeMapper(Mapper):
         # What the map explains is a keyframe only for the baseline that it gives.
         return moved > c.REFINE_SPREAD * self.camera.width or (overlap < c.OVERLAP_KEYFRAME and moved > 0.3 * limit)
 
-    def keyframe_poses(self, most: int) -> list[Array]:
-        """Return at most `most` poses (4, 4) of keyframes that were not refused, evenly spread."""
-        poses = [t.T_world_camera for t in self.traces if _is_anchor(t)]
-        return poses[:: max(1, -(-len(poses) // most))]
-
     def _due(self) -> bool:
         return len(self.keyframes) > 1 and self.tried_at < len(self.keyframes)
 
@@ -136,6 +131,7 @@ class JointRefiner(Refiner):
         first: bool,
         last: bool = False,
         faces: Sequence[Plane] = (),
+        most: int = c.JOINT_MAX_VIEWS,
         dropped: threading.Event | None = None,
     ) -> Revised:
         """Return what takes the place of the traces and the map: 12 k - 4 parameters found together.
@@ -146,12 +142,10 @@ class JointRefiner(Refiner):
             first: not used: the map is made anew in any case.
             last: at the recording's end, where there is no candidate.
             faces: not used: this mode keeps to one plane.
+            most: keyframes that are found together, at most `JOINT_MAX_VIEWS`.
             dropped: not used: what is found of the candidate is always wanted.
         """
-        anchors = [t for t in traces if _is_anchor(t)]
-        if len(anchors) > c.JOINT_MAX_VIEWS:
-            pick = np.unique(np.linspace(0, len(anchors) - 1, c.JOINT_MAX_VIEWS).round().astype(int))
-            anchors = [anchors[i] for i in pick]
+        anchors = evenly([t for t in traces if _is_anchor(t)], min(most, c.JOINT_MAX_VIEWS))
         if len(anchors) < 2:
             return self.settle(traces, plane)
         train, test = ([self._events(t, half) for t in anchors] for half in (0, 1))

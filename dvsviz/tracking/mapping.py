@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -22,28 +22,11 @@ from dvsviz.session.records import Failure, Keyframe, LogEntry, MapRevision, Ref
 from dvsviz.tracking import constants as c
 from dvsviz.tracking.panorama import Panorama, loop_error, nearest, spread
 from dvsviz.tracking.planar_map import PlanarMap
-from dvsviz.tracking.refining import Refiner, Revised
+from dvsviz.tracking.refining import Job, Refiner, Revised
 from dvsviz.tracking.traces import Trace, add_to_map, correct, window_poses
 
 Array = NDArray[np.float64]
 Sampled = tuple[NDArray[np.float32], Array]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Job:
-    """A refinement that runs.
-
-    Attributes:
-        count: how many traces it was given.
-        land_at: window at which it is merged.
-        future: its result.
-        dropped: set where nobody wants it any more.
-    """
-
-    count: int
-    land_at: int
-    future: Future[Revised]
-    dropped: threading.Event
 
 
 class Mapper:
@@ -181,7 +164,7 @@ class Mapper:
 
         Of a panorama one face after the other, those near the last view first.
         """
-        poses = [t.T_world_camera for t in self.traces if t.keyframe >= 0]
+        poses = [t.T_world_camera for t in self.traces if t.keyframe >= 0 and t.is_trusted]
         if self.panorama is None or len(self.panorama.faces) == 1:
             return self.live_map, poses[:: max(1, -(-len(poses) // c.RELOCALIZE_KEYFRAMES))]
         faces = self.panorama.faces
@@ -300,6 +283,7 @@ class Mapper:
             self.plane,
             first=self.refinements == 0,
             faces=() if self.panorama is None else self.panorama.known_at(count),
+            most=c.REFINE_LIVE_VIEWS if self.is_live else c.REFINE_MAX_VIEWS,
             dropped=dropped,
         )
         pool.shutdown(wait=False)

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,7 @@ from dvsviz.tracking.sampling import thinned
 from dvsviz.tracking.traces import HELD, Trace, add_to_map, correct, with_poses
 
 Array = NDArray[np.float64]
+Item = TypeVar("Item")
 
 # Windows that a thread puts back on the map in one call.
 _TOGETHER = 32
@@ -34,11 +36,11 @@ _TOGETHER = 32
 _FIRST_LEVEL = 1
 
 
-def _evenly(indices: list[int], most: int) -> list[int]:
-    """Return at most so many of the indices, the first and the last among them."""
-    if len(indices) <= most:
-        return indices
-    return [indices[i] for i in np.unique(np.linspace(0, len(indices) - 1, most).round().astype(int))]
+def evenly(items: list[Item], most: int) -> list[Item]:
+    """Return at most so many of the items, in order, the first and the last among them."""
+    if len(items) <= most:
+        return items
+    return [items[i] for i in np.unique(np.linspace(0, len(items) - 1, most).round().astype(int))]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -58,6 +60,23 @@ class Revised:
     planar_map: PlanarMap | None
     text: str
     accepted: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Job:
+    """A refinement that runs.
+
+    Attributes:
+        count: how many traces it was given.
+        land_at: window at which it is merged.
+        future: its result.
+        dropped: set where nobody wants it any more.
+    """
+
+    count: int
+    land_at: int
+    future: Future[Revised]
+    dropped: threading.Event
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -84,6 +103,7 @@ class Refiner:
         first: bool,
         last: bool = False,
         faces: Sequence[Plane] = (),
+        most: int = c.REFINE_MAX_VIEWS,
         dropped: threading.Event | None = None,
     ) -> Revised:
         """Return what takes the place of the traces and the map.
@@ -94,10 +114,11 @@ class Refiner:
             first: also make the map anew where the refinement is refused: the first one was written while drifting.
             last: at the recording's end: with more rounds.
             faces: the planes of a panorama, in place of the one plane.
+            most: windows that are refined; the others are carried along.
             dropped: set where the result is not wanted any more: then nothing is revised.
         """
         planes = tuple(faces) or (plane,)
-        chosen = self._chosen(traces)
+        chosen = self._chosen(traces, most)
         result = refine(
             [self._view(t, planes, traces[0].mid_us) for t in chosen],
             planes[0],
@@ -127,12 +148,12 @@ class Refiner:
         )
 
     @staticmethod
-    def _chosen(traces: Sequence[Trace]) -> list[Trace]:
+    def _chosen(traces: Sequence[Trace], most: int) -> list[Trace]:
         """Return the windows that are refined, in order: keyframes, and others evenly between them."""
         keyframes = [i for i, t in enumerate(traces) if t.keyframe >= 0]
         others = [i for i, t in enumerate(traces) if t.keyframe < 0]
-        keyframes = _evenly(keyframes, c.REFINE_MAX_VIEWS // 2)
-        others = _evenly(others, c.REFINE_MAX_VIEWS - len(keyframes))
+        keyframes = evenly(keyframes, most // 2)
+        others = evenly(others, most - len(keyframes))
         return [traces[i] for i in sorted(keyframes + others)]
 
     @staticmethod
