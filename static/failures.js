@@ -162,6 +162,7 @@ export class Failures {
     }
     const s = detail.summary ?? {};
     if (Number.isFinite(s.real_time_factor)) rows.push(["real-time factor", fixed(s.real_time_factor, 2)]);
+    if (Number.isFinite(s.metric_scale?.metres_per_unit)) rows.push(["a unit is", `${fixed(s.metric_scale.metres_per_unit, 3)} m ± ${percent(s.metric_scale.deviation)} by the accelerometer`]);
     if (Number.isFinite(s.tracked_share)) rows.push(["tracked", percent(s.tracked_share)]);
     if (Number.isFinite(s.losses)) rows.push(["losses", whole(s.losses)]);
     const settings = detail.config ? make("details", {}, make("summary", {}, "Settings"), make("pre", {}, JSON.stringify(typeof detail.config === "string" ? JSON.parse(detail.config) : detail.config, null, 2))) : "";

@@ -35,6 +35,9 @@ class Export:
     """Of a video: recording seconds a second."""
     poses: Poses = "refined"
     """Of a TUM file: as refined by later windows, or as known at the time."""
+    metres: Flag = False
+    """Of a TUM file: positions in metres instead of plane distances, where --plane-distance or an accelerometer told
+    the scale."""
     force: Flag = False
     """Replace a file that is there."""
 

@@ -33,10 +33,12 @@ def export(command: Export) -> int:
         raise DvsvizError(f"--speed is for videos, not {ending}", path=command.to)
     if not kind.has_part and (command.start, command.end) != (None, None):
         raise DvsvizError(f"--start and --end are for videos and rerun recordings, not {ending}", path=command.to)
+    if command.metres and kind is not Kind.TUM:
+        raise DvsvizError(f"--metres is for trajectories, not {ending}", path=command.to, hint="name x.tum")
     _check_free(command.to, force=command.force)
     with _shown(command.session, "written", needs_recording=kind.shows_events) as shown:
         if kind is Kind.TUM:
-            export_tum(shown.session, command.to, poses=command.poses)
+            export_tum(shown.session, command.to, poses=command.poses, metres=command.metres)
         else:
             part = Part(start_s=command.start, end_s=command.end, speed=command.speed)
             with share_bar(f"writing {command.to.name}") as show:

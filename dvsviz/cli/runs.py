@@ -190,6 +190,12 @@ def print_summary(summary: dict[str, Any]) -> None:
         )
     if "events_kept_share" in summary:
         print(f"events kept by the filters: {summary['events_kept_share']:.1%}")
+    scale = summary.get("metric_scale", {})
+    if "metres_per_unit" in scale:
+        print(
+            f"a unit of length is {scale['metres_per_unit']:.4g} m (standard deviation {scale['deviation']:.1%}), "
+            "by the accelerometer"
+        )
     if summary["evaluation"] is not None:
         from dvsviz.evaluate.evaluate import Evaluation
         from dvsviz.evaluate.tables import evaluation_table

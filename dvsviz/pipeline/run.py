@@ -21,7 +21,7 @@ from dvsviz.events.windows import EventWindow, windows
 from dvsviz.live.source import LiveEvents
 from dvsviz.live.windows import LiveWindows
 from dvsviz.pipeline.checks import check_target, check_trackable
-from dvsviz.pipeline.summary import evaluation_of, events_kept, summarize
+from dvsviz.pipeline.summary import evaluation_of, events_kept, metric_scale_of, summarize
 from dvsviz.session.records import LogEntry, Status, WindowResult
 from dvsviz.session.store import Session, SessionHeader, SessionWriter, open_session
 from dvsviz.tracking.tracker import Tracker
@@ -271,6 +271,7 @@ class Run:
             with open_session(self._writer.path) as session:
                 figures = summarize(session.column("status"))
                 evaluation = evaluation_of(session)
+                scale = metric_scale_of(session, self._recording)
             wall_s = max(time.perf_counter() - self._started, 1e-9)
             summary = {
                 "session": str(self._writer.path),
@@ -285,6 +286,7 @@ class Run:
                 "compile_s": self._compile_s,
                 "evaluation": evaluation,
                 **events_kept(self._recording),
+                **scale,
                 **({} if self._live is None else {"live": self._live.summary()}),
             }
         except BaseException:
