@@ -40,6 +40,7 @@ KEYS = [
     "real_time_factor",
     "compile_s",
     "evaluation",
+    "metric_scale",
 ]
 
 
