@@ -49,7 +49,7 @@ browser: $(STAMP)
 lint: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/pyright
+	$(BIN)/pyright --level warning
 
 clean:
 	rm -rf $(VENV) dist build *.egg-info

@@ -144,10 +144,10 @@ class RecordingWriter:
         """
         if image.ndim != 2 or image.dtype != np.uint8:
             raise ValueError(f"image: expected (height, width) uint8, got {image.shape} {image.dtype}")
-        if self._frames is None:
+        images: Any = self._frames
+        if images is None:
             whole = {"maxshape": (None, *image.shape), "chunks": (1, *image.shape), **_COMPRESSION}
-            self._frames = self._file.create_dataset("frames/image", (0, *image.shape), np.uint8, **whole)
-        images = self._frames
+            images = self._frames = self._file.create_dataset("frames/image", (0, *image.shape), np.uint8, **whole)
         if images.shape[1:] != image.shape:
             raise FormatError(
                 f"a frame of {image.shape[1]}x{image.shape[0]} after frames of {images.shape[2]}x{images.shape[1]}",
