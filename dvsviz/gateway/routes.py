@@ -12,7 +12,7 @@ from typing import Any
 
 from starlette.applications import Starlette
 from starlette.requests import Request
-from starlette.responses import FileResponse, JSONResponse, RedirectResponse, Response
+from starlette.responses import FileResponse, HTMLResponse, JSONResponse, RedirectResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
@@ -25,6 +25,7 @@ from dvsviz.gateway.exports import Exports
 from dvsviz.gateway.library import Library, bookmarks_of
 from dvsviz.gateway.manage import Manager
 from dvsviz.gateway.messages import pack_columns
+from dvsviz.gateway.page import front_page
 from dvsviz.gateway.proxy import SceneProxy
 from dvsviz.gateway.rerun import RerunPage
 from dvsviz.gateway.runs import Runs
@@ -109,7 +110,7 @@ class Routes:
 
     async def page(self, request: Request) -> Response:
         """Return the front page."""
-        return FileResponse(self._static / "index.html", headers={"Cache-Control": "no-cache"})
+        return HTMLResponse(front_page(self._static), headers={"Cache-Control": "no-cache"})
 
     async def login(self, request: Request) -> Response:
         """Change the token for the cookie."""
