@@ -4,9 +4,10 @@
 
 Session and recording are written by the real writers: a window of 12 ms every 12 ms, a keyframe every 30, a map
 revision every 200. Then the real program serves them, and a real browser opens the page on them. Clocks are inside the
-page: from the navigation to the images of the first window with timeline and curves drawn; from a turn of the wheel
-over the timeline to the frame that shows it zoomed; from a click to its images. The server's memory is its largest
-since it began (`VmHWM`), of the process that serves.
+page: from the order to open the session, in a page that shows a short one, to the images of its first window, with
+timeline and curves drawn; the same from the navigation to an address that names it; from a turn of the wheel over the
+timeline to the frame that shows it zoomed; from a click to its images. The server's memory is its largest since it
+began (`VmHWM`), of the process that serves.
 """
 
 from __future__ import annotations
@@ -15,7 +16,6 @@ import argparse
 import json
 import sys
 import tempfile
-import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -37,6 +37,13 @@ from dvsviz.session.store import SessionWriter
 
 _WINDOW_US = 12_000
 _EVENTS = 200
+
+# From the order to open the session to its first images: its timeline and curves are drawn by then.
+_OPEN = """async () => {
+  const from = performance.now();
+  await window.dvsviz.open("long");
+  return performance.now() - from;
+}"""
 
 # From a click on the timeline to its images.
 _CLICK = """async ([x, y]) => {
@@ -91,6 +98,7 @@ def write(folder: Path, windows: int) -> Path:
         last_us=samples.FIRST_US + _WINDOW_US * windows,
     )
     (folder / "sessions").mkdir()
+    samples.write_session(folder / "sessions" / "short.h5", recording, 300)
     return write_session(folder / "sessions" / "long.h5", header, windows)
 
 
@@ -135,10 +143,13 @@ def largest_mb(pid: int) -> float:
 def measure(page: Page, dashboard: Dashboard, windows: int, seeks: int) -> dict[str, Any]:
     """Open the session by the page's address, zoom and seek."""
     rng = np.random.default_rng(2)
-    from_s = time.perf_counter()
+    dashboard.enter("short")
+    page.frame_locator("#scene iframe").locator("canvas").first.wait_for(timeout=30_000)
+    page.wait_for_timeout(4000)
+    opened_ms = page.evaluate(_OPEN)
+    page.goto("about:blank")
     dashboard.enter("long")
-    wall_s = time.perf_counter() - from_s
-    opened_ms = page.evaluate("performance.now()")
+    entered_ms = page.evaluate("performance.now()")
     drawn = int(page.evaluate(_DRAWN))
     state = dashboard.state
     if state["windows"] != windows or drawn < 1000:
@@ -155,7 +166,7 @@ def measure(page: Page, dashboard: Dashboard, windows: int, seeks: int) -> dict[
         "windows": windows,
         "first_click_ms": round(clicks[0], 1),
         "open_to_images_ms": round(opened_ms, 1),
-        "open_wall_ms": round(1e3 * wall_s, 1),
+        "navigation_to_images_ms": round(entered_ms, 1),
         "click_median_ms": round(float(np.median(clicks)), 1),
         "click_p95_ms": round(float(np.percentile(clicks, 95)), 1),
         "wheel_median_ms": round(float(np.median(wheels)), 1),

@@ -137,6 +137,13 @@ def test_long_paths_are_thinned_and_keep_their_ends() -> None:
     assert empty.shape == (0, 2, 3)
 
 
+def test_of_many_keyframes_some_are_drawn_the_ends_among_them() -> None:
+    chosen = geometry3d.thinned(3334, geometry3d.MAX_KEYFRAMES)
+    assert len(chosen) == geometry3d.MAX_KEYFRAMES and (np.diff(chosen) > 0).all()
+    assert (chosen[0], chosen[-1]) == (0, 3333)
+    assert geometry3d.thinned(7, geometry3d.MAX_KEYFRAMES).tolist() == list(range(7))
+
+
 def test_field_of_view_of_a_sensor_that_is_not_square() -> None:
     fov, aspect = geometry3d.field_of_view(CAMERA)
     assert fov == pytest.approx(2 * np.arctan(16 / 41))

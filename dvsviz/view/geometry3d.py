@@ -15,6 +15,8 @@ Array = NDArray[np.float64]
 
 MAX_TEXTURE_PX = 2048
 _MAX_SEGMENTS = 4000
+# More pyramids than these cover each other, and each is drawn in every frame.
+MAX_KEYFRAMES = 500
 _THUMBNAIL_PX = 240
 
 # Okabe-Ito, as everywhere a status is drawn.
@@ -38,7 +40,7 @@ _PALETTE = np.array([line_rgb(STATUS_RGB[status]) for status in STATUSES], dtype
 
 def path(positions: Array) -> NDArray[np.float32]:
     """Return the segments (S, 2, 3) of a polyline through positions (N, 3), thinned to a few thousand."""
-    kept = positions[_thinned(len(positions))]
+    kept = positions[thinned(len(positions), _MAX_SEGMENTS)]
     kept = kept[np.all(np.isfinite(kept), axis=-1)]
     return np.stack([kept[:-1], kept[1:]], axis=1).astype(np.float32)
 
@@ -50,7 +52,7 @@ def status_path(Ts_world_camera: Array, status: NDArray[np.uint8]) -> tuple[NDAr
         Ts_world_camera: poses (N, 4, 4).
         status: numbers of `STATUSES` (N,).
     """
-    chosen = _thinned(min(len(Ts_world_camera), len(status)))
+    chosen = thinned(min(len(Ts_world_camera), len(status)), _MAX_SEGMENTS)
     positions, numbers = Ts_world_camera[chosen, :3, 3], np.asarray(status)[chosen]
     finite = np.all(np.isfinite(positions), axis=-1)
     positions, numbers = positions[finite], numbers[finite]
@@ -117,8 +119,8 @@ def thumbnail(png: bytes) -> NDArray[np.uint8]:
     return np.asarray(image, dtype=np.uint8)
 
 
-def _thinned(count: int) -> NDArray[np.int64]:
-    """Return at most a few thousand increasing numbers below `count`, the first and the last among them."""
-    if count <= _MAX_SEGMENTS:
+def thinned(count: int, most: int) -> NDArray[np.int64]:
+    """Return at most so many increasing numbers below `count`, the first and the last among them."""
+    if count <= most:
         return np.arange(count)
-    return np.unique(np.linspace(0, count - 1, _MAX_SEGMENTS).astype(np.int64))
+    return np.unique(np.linspace(0, count - 1, most).astype(np.int64))

@@ -236,7 +236,8 @@ class TabScene:
             )
 
     def _draw_keyframes(self, shown: ShownSession) -> None:
-        keyframes = shown.keyframes
+        every = shown.keyframes
+        keyframes = [every[k] for k in geometry3d.thinned(len(every), geometry3d.MAX_KEYFRAMES)]
         windows = [k.window for k in keyframes]
         if windows == self._keyframe_windows:
             return
