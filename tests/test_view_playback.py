@@ -11,7 +11,7 @@ from gateway_samples import CAMERA, make_recording, make_session
 
 from dvsviz.formats.open import open_recording
 from dvsviz.geometry import se3
-from dvsviz.session.records import MapRevision
+from dvsviz.session.records import STATUSES, MapRevision, Status
 from dvsviz.session.store import open_session
 from dvsviz.view import geometry3d
 from dvsviz.view.cache import EncodedImage, ImageCache
@@ -129,12 +129,28 @@ def test_the_map_image_lies_on_the_plane() -> None:
 def test_long_paths_are_thinned_and_keep_their_ends() -> None:
     Ts = se3.pose(position=np.column_stack([np.arange(100_000.0), np.zeros(100_000), np.zeros(100_000)]))
     points, colours = geometry3d.status_path(Ts, np.ones(100_000, np.uint8))
-    assert len(points) < 4000
+    assert 0.7 * geometry3d.MAX_SEGMENTS < len(points) <= geometry3d.MAX_SEGMENTS
     assert points[0, 0, 0] == 0
     assert points[-1, 1, 0] == 99_999
     assert colours.shape == (len(points), 2, 3)
     empty, _ = geometry3d.status_path(Ts[:1], np.ones(1, np.uint8))
     assert empty.shape == (0, 2, 3)
+
+
+def test_a_thinned_path_keeps_every_loss_and_wastes_nothing_on_rest() -> None:
+    # A circle, then as long a rest, with two lost windows in it that lie between the kept ones.
+    angle = np.concatenate([np.linspace(0, 2 * np.pi, 20_000), np.full(20_000, 2 * np.pi)])
+    Ts = se3.pose(position=np.column_stack([np.cos(angle), np.sin(angle), np.zeros(len(angle))]))
+    status = np.full(len(angle), STATUSES.index(Status.TRACKING), np.uint8)
+    status[7001:7003] = STATUSES.index(Status.LOST)
+    points, colours = geometry3d.status_path(Ts, status)
+    lost = np.all(colours[:, 0] == geometry3d.line_rgb(geometry3d.STATUS_RGB[Status.LOST]), axis=1)
+    assert lost.sum() == 1
+    lengths = np.linalg.norm(points[:, 1] - points[:, 0], axis=1)
+    assert lengths.sum() == pytest.approx(2 * np.pi, rel=1e-4)
+    assert (lengths > 1e-6).sum() > 0.85 * len(points)
+    # Each segment begins where the one before it ends.
+    np.testing.assert_array_equal(points[1:, 0], points[:-1, 1])
 
 
 def test_of_many_keyframes_some_are_drawn_the_ends_among_them() -> None:

@@ -231,9 +231,8 @@ class TabScene:
             self._truth_windows = shown.window_count
             first, last = shown.session.header.first_us, shown.session.header.last_us
             inside = (truth.t_us >= first) & (truth.t_us <= last)
-            self._replace_lines(
-                "truth", geometry3d.path(truth.positions[inside]), geometry3d.line_rgb(_TRUTH_RGB), 1.5
-            )
+            points = geometry3d.path(truth.positions[inside], geometry3d.MAX_TRUTH_SEGMENTS)
+            self._replace_lines("truth", points, geometry3d.line_rgb(_TRUTH_RGB), 1.5)
 
     def _draw_keyframes(self, shown: ShownSession) -> None:
         every = shown.keyframes
