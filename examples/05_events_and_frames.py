@@ -57,6 +57,8 @@ else:
     frames, methods, distance = RecordingFrames(recording), tuple(m for m in METHODS if m in WITHOUT_DEPTH), None
 
 session = said.out / f"{name}-session.h5"
-track(recording, dvsviz.TrackerConfig(motion="planar", plane_distance=distance), session, force=True)
+# Of a file nobody has said that a plane is before the camera: what moves how is found out.
+model = "planar" if said.file is None else "auto"
+track(recording, dvsviz.TrackerConfig(motion=model, plane_distance=distance), session, force=True)
 runs = study(frames, methods, tuple(said.skips), speed=said.speed, clock=time.process_time)
 print(format_table([run.row for run in runs] + session_rows(session, frames, runs)))
