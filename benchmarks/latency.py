@@ -154,6 +154,9 @@ def main() -> None:
             for at, count in told:
                 ms += [1e3 * (at - due) for due in due_s[known:count]]
                 known = max(known, count)
+            if not ms:
+                print(f"due event to {what}  none was told: the stream ended before the tracker was ready")
+                continue
             median, p95 = np.percentile(ms, [50, 95])
             print(f"due event to {what}  median {median:.0f} ms, p95 {p95:.0f} ms, of {len(ms)} windows")
         print(
