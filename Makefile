@@ -7,14 +7,16 @@ STAMP := $(VENV)/.installed
 # Packages are not compiled when they are installed: what is imported is compiled once and kept, in any environment.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run test kernels accuracy nightly install browser lint clean
+.PHONY: run test kernels accuracy nightly install chromium browser lint clean
 
 run: $(STAMP)
 	$(BIN)/python app.py
 
-# Checking types and compiling kernels take a core each, and so do two halves of the tests: a file is never split, and
-# the browser's, the longest, begin.
-test: $(STAMP) browser
+# Python's packages and the system's browser are fetched side by side; checking types and compiling kernels take a core
+# each, and so do two halves of the tests: a file is never split, and the browser's, the longest, begin.
+test:
+	$(MAKE) -j2 $(STAMP) chromium
+	$(MAKE) browser
 	$(MAKE) -j2 --output-sync=target lint kernels
 	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder $(PYTEST_ARGS)
 
@@ -41,10 +43,14 @@ $(STAMP): requirements.lock pyproject.toml
 	touch $(STAMP)
 
 # The tests drive a real Chromium: the one on the PATH, else the system's package (as root), else Playwright's own.
-browser: $(STAMP)
-	@command -v chromium >/dev/null || command -v chromium-browser >/dev/null || command -v google-chrome >/dev/null || \
+HAS_CHROMIUM := command -v chromium >/dev/null || command -v chromium-browser >/dev/null || command -v google-chrome >/dev/null
+chromium:
+	@$(HAS_CHROMIUM) || \
 	  { [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null && apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq chromium; } || \
-	  $(BIN)/python -m playwright install chromium
+	  true
+
+browser: $(STAMP) chromium
+	@$(HAS_CHROMIUM) || $(BIN)/python -m playwright install chromium
 
 lint: $(STAMP)
 	$(BIN)/ruff check .
