@@ -13,6 +13,7 @@ import pytest
 
 from dvsviz.cli import main
 from dvsviz.formats.open import open_recording
+from dvsviz.live.server import EventServer
 from dvsviz.simulate.simulate import simulate
 
 
@@ -36,3 +37,17 @@ def test_a_replay_is_tracked_and_recorded_whole(tmp_path: Path, capsys: pytest.C
     assert live["received"] == count == open_recording(record).events.count
     assert 0 < live["used_share"] <= 1 and live["latency_median_ms"] > 0
     assert "no calibration" in said.err and "was lost" in said.err
+
+
+def test_a_receiver_whose_tracker_has_gone_ends_without_a_word() -> None:
+    with EventServer("127.0.0.1", 0, width=64, height=48) as server:
+        command = [sys.executable, "-m", "dvsviz.live.receiver", f"aedat4+tcp://127.0.0.1:{server.port}"]
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        with subprocess.Popen(command, **pipes) as receiving:
+            assert receiving.stdin is not None
+            assert receiving.stdout is not None
+            assert receiving.stderr is not None
+            receiving.stdout.close()
+            receiving.stdin.close()
+            assert receiving.wait(60) == 0
+            assert b"Traceback" not in receiving.stderr.read()

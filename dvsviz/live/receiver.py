@@ -11,6 +11,7 @@ size, events, a stream's end or an error as JSON. Between events an empty messag
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import struct
@@ -185,7 +186,8 @@ def _receive(where: str, out: BinaryIO, gone: threading.Event) -> None:
 def main() -> None:
     """Receive what the command line names."""
     # The library prints, too: the messages keep standard output to themselves.
-    with os.fdopen(os.dup(1), "wb") as out:
+    # Where the tracker has gone nobody is left to be told.
+    with contextlib.suppress(BrokenPipeError), os.fdopen(os.dup(1), "wb") as out:
         os.dup2(2, 1)
         gone = threading.Event()
 
