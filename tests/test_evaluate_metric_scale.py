@@ -89,3 +89,33 @@ def test_what_is_missing_is_said(which: str) -> None:
         trajectory = Trajectory(t_us=trajectory.t_us[:2], Ts_world_camera=trajectory.Ts_world_camera[:2])
     with pytest.raises(EvaluationError, match="accelerations"):
         metric_scale(trajectory, imu)
+
+
+def test_a_clock_that_jumps_by_years_costs_nothing() -> None:
+    motion = shake(np.random.default_rng(3), 20.0)
+    whole, later = poses(motion, 20.0, 0.0), 3 * 365 * 86_400_000_000
+    t_us = whole.t_us + np.where(np.arange(len(whole)) < 400, 0, later)
+    scale = metric_scale(Trajectory(t_us=t_us, Ts_world_camera=whole.Ts_world_camera), measured(motion, 20.0))
+    assert scale.metres_per_unit == pytest.approx(METRES, rel=0.02)
+    assert scale.seconds < 14.0
+
+
+def test_single_absurd_samples_are_left_out_and_a_whole_stream_of_them_is_refused() -> None:
+    motion = shake(np.random.default_rng(3), 20.0)
+    trajectory, imu = poses(motion, 20.0, 0.0), measured(motion, 20.0)
+    accel = imu.accel.copy()
+    accel[5000] = 1e300
+    scale = metric_scale(trajectory, Imu(t_us=imu.t_us, gyro=imu.gyro, accel=accel))
+    assert scale.metres_per_unit == pytest.approx(METRES, rel=0.01)
+    with pytest.raises(EvaluationError, match="no accelerations"):
+        metric_scale(trajectory, Imu(t_us=imu.t_us, gyro=imu.gyro, accel=1e300 * imu.accel))
+
+
+def test_a_camera_that_stood_still_or_flew_beyond_measure_tells_nothing() -> None:
+    motion = shake(np.random.default_rng(3), 20.0)
+    trajectory, imu = poses(motion, 20.0, 0.0), measured(motion, 20.0)
+    for factor, match in ((0.0, "hardly accelerated"), (1e200, "beyond measure")):
+        Ts = trajectory.Ts_world_camera.copy()
+        Ts[:, :3, 3] *= factor
+        with pytest.raises(EvaluationError, match=match):
+            metric_scale(Trajectory(t_us=trajectory.t_us, Ts_world_camera=Ts), imu)

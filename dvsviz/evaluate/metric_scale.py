@@ -34,6 +34,8 @@ GRAVITY_M_S2 = 9.81
 # Half width of the bump, s; every half of it another one begins. Its integral is taken in steps of so long, s.
 HALF_WIDTH_S = 0.4
 STEP_S = 0.002
+# No small sensor reaches 50 g.
+MOST_M_S2 = 500.0
 # Longest time without a pose or a sample, us.
 LONGEST_GAP_US = 100_000
 # Standard deviations of what is known before: bias, m/s²; place of the sensor, m; gravity, m/s².
@@ -80,7 +82,7 @@ def metric_scale(trajectory: Trajectory, imu: Imu) -> MetricScale:
     usable = usable_imu(imu)[0]
     usable = None if usable is None else _accelerations(usable)
     if usable is None or len(trajectory) < 3:
-        raise EvaluationError("no accelerations beside the poses", hint="the scale stays unknown")
+        raise EvaluationError("no accelerations beside the poses", hint="they are expected in m/s², below 500")
     middles = _middles(trajectory, usable)
     if len(middles) < LEAST_PLACES:
         raise EvaluationError(
@@ -93,14 +95,17 @@ def metric_scale(trajectory: Trajectory, imu: Imu) -> MetricScale:
 
 
 def _accelerations(imu: Imu) -> Imu | None:
-    good = np.isfinite(imu.accel).all(axis=1)
+    # What is no number is not below the limit.
+    good = (np.abs(imu.accel) < MOST_M_S2).all(axis=1)
     return Imu(t_us=imu.t_us[good], gyro=imu.gyro[good], accel=imu.accel[good]) if good.sum() > 2 else None
 
 
 def _middles(trajectory: Trajectory, imu: Imu) -> NDArray[np.int64]:
     """Return the middle times (N,) of bumps with poses and samples all along."""
     h = round(HALF_WIDTH_S * 1e6)
-    times = np.arange(trajectory.t_us[0] + h, trajectory.t_us[-1] - h, h // 2, dtype=np.int64)
+    # Of a grid, the places where poses are: a clock may jump by years.
+    places = np.unique((trajectory.t_us - trajectory.t_us[0]) // (h // 2))
+    times = trajectory.t_us[0] + places * (h // 2)
     return times[_covered(trajectory.t_us, times - h, times + h) & _covered(imu.t_us, times - h, times + h)]
 
 
@@ -150,6 +155,9 @@ def _bends(
 
 def _solve(D: Array, A: Array, B: Array, E: Array, C: float, *, seconds: float) -> MetricScale:
     """Fit k, bias, gravity and place."""
+    # No way is so long; what is squared below must stay a number.
+    if not np.abs(D).max() < 1e100:
+        raise EvaluationError("the poses are beyond measure", hint="track the recording again")
     # Start: without bias and place it is linear in k and k g.
     columns = np.zeros((D.size, 4))
     columns[:, 0] = A.ravel()
