@@ -171,3 +171,10 @@ def test_weak_directions_in_words() -> None:
     assert weak_words(np.array([0, 0, 0.02, 0, 0, 1.0])) == "motion along z"
     assert weak_words(np.zeros(6)) == ""
     assert weak_words(np.full(6, np.nan)) == ""
+
+
+@pytest.mark.filterwarnings("ignore:overflow", "ignore:invalid value")
+def test_a_path_beyond_measure_is_drawn_somehow() -> None:
+    Ts = se3.pose(position=np.random.default_rng(1).normal(size=(5000, 3)) * 1e200)
+    points, _ = geometry3d.status_path(Ts, np.ones(5000, np.uint8))
+    assert 0 < len(points) <= geometry3d.MAX_SEGMENTS

@@ -11,17 +11,12 @@ from numpy.typing import NDArray
 from dvsviz.gateway.orders import RunOrder, RunState, Stage
 from dvsviz.gateway.runs import Run
 from dvsviz.pipeline import summarize
-from dvsviz.session.records import STATUSES, Status
+from dvsviz.session.records import STATUS_BADNESS
 from dvsviz.session.store import SessionHeader, open_session
 
 _SPARKS = 64
 # A stretch of the sparkline shows its worst state.
-_BADNESS = np.array(
-    [
-        [Status.INITIALIZING, Status.TRACKING, Status.WEAK, Status.RELOCALIZING, Status.LOST].index(s)
-        for s in STATUSES
-    ]
-)
+_BADNESS = np.array(STATUS_BADNESS)
 
 
 def read_entry(name: str, path: Path, *, kept: bool) -> dict[str, Any]:

@@ -130,7 +130,8 @@ class _Client:
     def __init__(self, connection: socket.socket, header: bytes) -> None:
         self._ended, self.lost, self.since = False, 0, time.monotonic()
         # A packet a millisecond is sent at once and not kept until the one before it was acknowledged.
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        with contextlib.suppress(OSError):  # it has gone already: sending will tell
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket = connection
         self._queue: queue.Queue[bytes | None] = queue.Queue(_QUEUED_PACKETS)
         self._queue.put(header)

@@ -24,6 +24,10 @@ class Status(StrEnum):
 # The order is the number stored in session files: append, never reorder.
 STATUSES: tuple[Status, ...] = tuple(Status)
 
+_FROM_BEST = (Status.INITIALIZING, Status.TRACKING, Status.WEAK, Status.RELOCALIZING, Status.LOST)
+STATUS_BADNESS: tuple[int, ...] = tuple(_FROM_BEST.index(status) for status in STATUSES)
+"""How bad each of `STATUSES` is: a stretch of windows is drawn in its worst one."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class WindowResult:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from dvsviz.geometry import se3
 from dvsviz.geometry.camera import Camera
 from dvsviz.geometry.plane import Plane, map_to_world, rotation_to_map
-from dvsviz.session.records import STATUSES, MapRevision, Status
+from dvsviz.session.records import STATUS_BADNESS, STATUSES, MapRevision, Status
 
 Array = NDArray[np.float64]
 
@@ -40,12 +40,7 @@ def line_rgb(rgb: tuple[int, int, int]) -> tuple[int, int, int]:
 _PALETTE = np.array([line_rgb(STATUS_RGB[status]) for status in STATUSES], dtype=np.uint8)
 
 
-_BADNESS = np.array(
-    [
-        (Status.INITIALIZING, Status.TRACKING, Status.WEAK, Status.RELOCALIZING, Status.LOST).index(s)
-        for s in STATUSES
-    ]
-)
+_BADNESS = np.array(STATUS_BADNESS)
 _BY_BADNESS = np.argsort(_BADNESS)
 
 
@@ -85,6 +80,8 @@ def _along(positions: Array, most: int) -> NDArray[np.int64]:
         return np.arange(len(positions))
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
     evenly = np.searchsorted(way, np.linspace(0.0, way[-1], most - most // 4 + 1))
+    # A way that is no number leads nowhere.
+    evenly = np.minimum(evenly, len(positions) - 1)
     return np.unique(np.concatenate([evenly, thinned(len(positions), most // 4)]))
 
 
