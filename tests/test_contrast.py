@@ -187,12 +187,12 @@ def test_pose_equations_against_a_slow_reference() -> None:
     plane, start = Plane(normal=TILTED, distance=1.1), -0.08
     T = se3.pose(se3.exp_so3(np.array([0.05, -0.1, 0.2])), np.array([0.1, -0.05, 0.15]))
     warp = map_warp(T, OMEGA, VELOCITY, plane, start, 0.2, target)
-    rays = np.empty((len(bearings), 3))
+    rays = np.empty((3, len(bearings)), dtype=np.float32)
     turned(bearings, start + t_s, np.array(OMEGA), rays)
     to_map = target @ (rotation_to_map(plane.normal) / np.array([[1.0], [1.0], [plane.distance]]))
     H, g = np.zeros((6, 6)), np.zeros(6)
     total, inside = pose_equations(
-        rays, start + t_s, T[:3, :3].copy(), T[:3, 3].copy(), np.array(VELOCITY), TILTED, plane.distance, to_map, image,
+        rays, (start + t_s).astype(np.float32), T[:3, :3].copy(), T[:3, 3].copy(), np.array(VELOCITY), TILTED, plane.distance, to_map, image,
         0.7, False, H, g,
     )  # fmt: skip
     slow_H, slow_g, slow_total, slow_inside = np.zeros((6, 6)), np.zeros(6), 0.0, 0

@@ -66,7 +66,7 @@ def align(
     free: NDArray[np.bool_],
     prior: Array | None = None,
     anchored: float = 0.0,
-    view: Array | None = None,
+    view: NDArray[np.float32] | None = None,
     first_level: int = 0,
     iterations: tuple[int, ...] = c.ALIGN_ITERATIONS,
     to_lines: bool = False,
@@ -85,7 +85,7 @@ def align(
         prior: information matrix (6, 6) of the prediction; the default constants' where None.
         anchored: information of a pull towards the world's origin: decides, always in the same way, between turning and
             moving sideways as long as the map cannot.
-        view: rays (G, 3) of `view_rays`: what the map would gain by chance from a camera nearer to the plane does not
+        view: rays (3, G) of `view_rays`: what the map would gain by chance from a camera nearer to the plane does not
             count where the map is still being written; None where it is not to be changed.
         first_level: 0 for the whole pyramid, more to start finer.
         iterations: steps at each level.
@@ -122,7 +122,7 @@ def align_each(
     free: NDArray[np.bool_],
     prior: Array | None = None,
     anchored: float = 0.0,
-    view: Array | None = None,
+    view: NDArray[np.float32] | None = None,
     first_level: int = 0,
     iterations: tuple[int, ...] = c.ALIGN_ITERATIONS,
     to_lines: bool = False,
@@ -146,7 +146,7 @@ def align_each(
         to_lines: as in `align`.
     """
     plane, count = planar_map.plane, len(Ts_world_camera)
-    young = np.zeros((0, 3))
+    young = np.zeros((3, 0), dtype=np.float32)
     if view is not None:
         H = planar_map.projection @ homography_map_camera(Ts_world_camera[0], plane)
         young = still_written(view, H, planar_map.exposure, c.EXPOSURE_CELL_PX, planar_map.freeze_px)
@@ -156,7 +156,7 @@ def align_each(
         tuple(planar_map.level(max(i, first_level)) for i in range(len(c.ALIGN_BLURS_PX))),
         planar_map.smooth() if to_lines else planar_map.level(first_level),
         to_lines,
-        view is not None and len(young) >= c.LINE_YOUNG * len(view),
+        view is not None and young.shape[1] >= c.LINE_YOUNG * view.shape[1],
         np.array(iterations),
         first_level,
         np.concatenate(bearings),
@@ -173,7 +173,7 @@ def align_each(
         anchored,
         focal_px,
         young,
-        0.0 if view is None else c.CHANCE_SHARE / len(view),
+        0.0 if view is None else c.CHANCE_SHARE / view.shape[1],
         found,
         information,
     )
@@ -221,7 +221,7 @@ def _descend(
 ):
     """Take up to `limit` damped Gauss-Newton steps on one level, moving R and p in place."""
     hessian, gradient = np.zeros((6, 6)), np.zeros(6)
-    unused, chance, at_once = np.zeros((6, 6)), np.zeros(6), np.zeros(young.shape[0])
+    unused, chance, at_once = np.zeros((6, 6)), np.zeros(6), np.zeros(young.shape[1], dtype=np.float32)
     total, inside, taken, step_px = 0.0, 0, 0, 0.0
     robust = c.LINE_HUBER_PX if to_lines else c.ALIGN_ROBUST
     variance = c.LINE_VARIANCE_PX2 if to_lines else c.RESIDUAL_VARIANCE
@@ -232,7 +232,7 @@ def _descend(
             rays, t_s, R, p, velocity, normal, distance, target, image, robust, to_lines, hessian, gradient
         )
         information[:] = hessian / variance
-        if not to_lines and young.shape[0] > 0:
+        if not to_lines and young.shape[1] > 0:
             chance[:] = 0.0
             pose_equations(
                 young, at_once, R, p, velocity, normal, distance, target, image, robust, to_lines, unused, chance
@@ -283,7 +283,7 @@ def _descend(
         step_px = size * focal_px
         if step_px < c.ALIGN_STEP_PX:
             break
-    count = rays.shape[0]
+    count = rays.shape[1]
     value = total / inside if inside > 0 else 0.0
     return value, inside / count, taken, step_px
 
@@ -319,7 +319,7 @@ def _descend_each(
         a, b = first[k], first[k + 1]
         if a == b:
             continue
-        rays = np.empty((b - a, 3))
+        rays, times = np.empty((3, b - a), dtype=np.float32), t_s[a:b].astype(np.float32)
         turned(bearings[a:b], t_s[a:b], omega[k], rays)
         R, p = Ts[k, :3, :3].copy(), Ts[k, :3, 3].copy()
         R0, p0 = R.copy(), p.copy()
@@ -334,7 +334,7 @@ def _descend_each(
                 is_last,
                 is_last and keeps_depth,
                 rays,
-                t_s[a:b],
+                times,
                 R,
                 p,
                 R0,

@@ -163,12 +163,12 @@ def placed(
     """
     plane = planar_map.plane
     target = planar_map.projection @ points_to_map(plane)
-    rays = np.empty((len(bearings), 3))
+    rays = np.empty((3, len(bearings)), dtype=np.float32)
     turned(bearings, t_s, omega, rays)
     information, gradient = np.zeros((6, 6)), np.zeros(6)
     total, inside = pose_equations(
         rays,
-        t_s,
+        t_s.astype(np.float32),
         np.ascontiguousarray(T_world_camera[:3, :3]),
         np.ascontiguousarray(T_world_camera[:3, 3]),
         velocity,

@@ -59,7 +59,7 @@ class PoseFinder:
     failures: FailureWatch
     gyro: Gyro | None
     is_placed: bool = False
-    _view: Array | None = None
+    _view: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
         # A camera that only turns cannot draw near.

@@ -161,21 +161,23 @@ def footprint_mean(edge, exposure, block, H, K, width, height, columns):
 
 @numba.njit(cache=True, nogil=True)
 def still_written(rays, H, exposure, block, limit):
-    """Return those of rays (N, 3) that meet the map where it is not yet frozen.
+    """Return those of rays (3, N) that meet the map where it is not yet frozen.
 
     Args:
-        rays: (N, 3), camera frame.
+        rays: (3, N) float32, camera frame.
         H: homography (3, 3) from bearings to cells.
         exposure: displacement that swept each block.
         block: cells a block.
         limit: a block swept by more, px, is frozen.
     """
     rows, cols = exposure.shape[0] * block, exposure.shape[1] * block
-    kept = np.zeros(rays.shape[0], dtype=np.bool_)
-    for i in range(rays.shape[0]):
-        u, v = project(H, rays[i, 0] / rays[i, 2], rays[i, 1] / rays[i, 2])
-        kept[i] = is_inside(u, v, rows, cols) and exposure[int(v) // block, int(u) // block] <= limit
-    return rays[kept]
+    kept, count = np.empty_like(rays), 0
+    for i in range(rays.shape[1]):
+        u, v = project(H, rays[0, i] / rays[2, i], rays[1, i] / rays[2, i])
+        if is_inside(u, v, rows, cols) and exposure[int(v) // block, int(u) // block] <= limit:
+            kept[:, count] = rays[:, i]
+            count += 1
+    return kept[:, :count].copy()
 
 
 @numba.njit(cache=True, nogil=True)

@@ -17,12 +17,12 @@ def thinned(count: int) -> NDArray[np.int64]:
     return (np.arange(most) * (count / max(1, most))).astype(np.int64)
 
 
-def view_rays(camera: Camera) -> NDArray[np.float64]:
-    """Return the rays (G, 3), camera frame, of a coarse grid over a camera's image."""
+def view_rays(camera: Camera) -> NDArray[np.float32]:
+    """Return the rays (3, G) float32, camera frame, of a coarse grid over a camera's image."""
     rows = max(2, round(_VIEW_COLUMNS * camera.height / camera.width))
     x, y = np.meshgrid(
         (np.arange(_VIEW_COLUMNS) + 0.5) * camera.width / _VIEW_COLUMNS - 0.5,
         (np.arange(rows) + 0.5) * camera.height / rows - 0.5,
     )
     x, y = (x.ravel() - camera.cx) / camera.fx, (y.ravel() - camera.cy) / camera.fy
-    return np.column_stack([x, y, np.ones(len(x))])
+    return np.stack([x, y, np.ones(len(x))]).astype(np.float32)
