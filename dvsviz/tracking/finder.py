@@ -202,7 +202,7 @@ class PoseFinder:
         motion, gyro = self.motion, self.gyro
         if gyro is None or alignment is None or not gyro.knows(motion.t_us, trace.mid_us):
             return None
-        agreed = diagnose.agreement(self.mapper.live_map, alignment.value, trace.T_world_camera, self.camera)
+        agreed = diagnose.agreement(self.mapper.live_map, alignment, self.camera)
         says_nothing = trace.events < c.FAILURE_EVENTS or images.edge_pixels < c.TEXTURE_EDGE_PIXELS
         # Where a camera that only turns comes out of the dark before something new, only the gyroscope knows where.
         is_new = not self.free[3:].any() and motion.status is Status.WEAK and agreed.inside < c.LOST_INSIDE
@@ -243,9 +243,7 @@ class PoseFinder:
 
     def _agreed(self, alignment: Alignment) -> float:
         """Return the chance-normalised score of an alignment."""
-        return diagnose.agreement(
-            self.mapper.live_map, alignment.value, alignment.T_world_camera, self.camera
-        ).score
+        return diagnose.agreement(self.mapper.live_map, alignment, self.camera).score
 
     def _align(
         self,
@@ -262,7 +260,7 @@ class PoseFinder:
         if len(bearings) > c.ALIGN_EVENTS:
             pick = thinned(len(bearings))
             bearings, t_s = bearings[pick], t_s[pick]
-        return align(
+        alignment = align(
             self.mapper.live_map,
             bearings,
             t_s - mid_s,
@@ -277,6 +275,7 @@ class PoseFinder:
             first_level=first_level,
             to_lines=True,
         )
+        return replace(alignment, agreed=diagnose.agreement(self.mapper.live_map, alignment, self.camera))
 
     def drift(
         self,

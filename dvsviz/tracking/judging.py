@@ -44,7 +44,7 @@ def judge(
         return replace(diagnose.Judgement.unknown(), is_trusted=True, confidence=0.5 if sharp else 0.1)
     if alignment is None:
         return diagnose.Judgement.unknown()
-    agreed = diagnose.agreement(mapper.live_map, alignment.value, trace.T_world_camera, mapper.camera)
+    agreed = diagnose.agreement(mapper.live_map, alignment, mapper.camera)
     condition, weak = diagnose.weakest(alignment.information, free)
     share, unseen = diagnose.stripes(mapper.live_map, trace.T_world_camera, mapper.camera)
     if share < c.STRIPES_SHARE and free[3:5].any():

@@ -6,23 +6,7 @@ import numba
 import numpy as np
 
 from dvsviz.contrast.kernels import bilinear, is_inside, project, splat, warp_one
-
-
-@numba.njit(cache=True, nogil=True)
-def exp_rotation(v):
-    """Return exp(v^) (3, 3) of one rotation vector (3,): `se3.exp_so3` inside kernels."""
-    a2 = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
-    if a2 < 1e-10:
-        s, k = 1.0 - a2 / 6.0, 0.5 - a2 / 24.0
-    else:
-        a = np.sqrt(a2)
-        s, k = np.sin(a) / a, (1.0 - np.cos(a)) / a2
-    x, y, z = v[0], v[1], v[2]
-    out = np.empty((3, 3))
-    out[0, 0], out[0, 1], out[0, 2] = 1 - k * (y * y + z * z), k * x * y - s * z, k * x * z + s * y
-    out[1, 0], out[1, 1], out[1, 2] = k * x * y + s * z, 1 - k * (x * x + z * z), k * y * z - s * x
-    out[2, 0], out[2, 1], out[2, 2] = k * x * z - s * y, k * y * z + s * x, 1 - k * (x * x + y * y)
-    return out
+from dvsviz.geometry.rotation_kernels import exp_rotation
 
 
 @numba.njit(cache=True, nogil=True)
@@ -80,9 +64,14 @@ def vote_window(bearings, t_us, is_positive, step, start_us, nodes, scale, K, wa
 def variance(image):
     """Return the variance of an image (rows, columns)."""
     total, squares = 0.0, 0.0
-    for value in image.ravel():
-        total += value
-        squares += value * value
+    for row in range(image.shape[0]):
+        # A line is short: its sums keep their digits in single precision.
+        sum_row, squares_row = np.float32(0.0), np.float32(0.0)
+        for value in image[row]:
+            sum_row += value
+            squares_row += value * value
+        total += sum_row
+        squares += squares_row
     return squares / image.size - (total / image.size) ** 2
 
 
@@ -92,22 +81,28 @@ def edges_of(image, least):
 
     The level is half of what nine tenths of the occupied pixels stay below (of 1024 steps), and at least `least`.
     """
-    top = image.max()
-    bins = np.zeros(1024, dtype=np.int64)
-    occupied = 0
-    for value in image.ravel():
-        if value > 0.0:
-            occupied += 1
-            bins[min(1023, int(value / top * 1024.0))] += 1
+    flat = image.ravel()
+    top = np.float32(0.0)
+    for value in flat:
+        top = max(top, value)
+    if not top > 0.0:
+        return least, 0
+    occupied, n = np.empty(flat.shape[0], dtype=np.int32), 0
+    for i in range(flat.shape[0]):
+        occupied[n] = i
+        n += flat[i] > 0.0
+    bins, scale = np.zeros(1024, dtype=np.int32), np.float32(1024.0) / top
+    for i in occupied[:n]:
+        bins[min(1023, int(flat[i] * scale))] += 1
     level, seen = least, 0
-    for i in range(1024 if occupied > 0 else 0):
+    for i in range(1024):
         seen += bins[i]
-        if seen >= 0.9 * occupied:
+        if seen >= 0.9 * n:
             level = max(least, 0.5 * top * (i + 0.5) / 1024.0)
             break
     count = 0
-    for value in image.ravel():
-        count += value > level
+    for i in occupied[:n]:
+        count += flat[i] > level
     return level, count
 
 
@@ -225,9 +220,11 @@ def mean_displacement(first, last, K, width, height):
     return total / count if count > 0 else 0.0
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(cache=True, nogil=True, fastmath={"contract", "arcp", "nsz", "reassoc"})
 def slope_tensor(edge, H, K, width, height, columns):
     """Return the sums (xx, xy, yy) of the squared slopes of an edge image over what a camera sees of it.
+
+    The pixels of a line are evenly spaced: numerators and denominator of the homography are linear in their number.
 
     Args:
         edge: blurred edge image (rows, columns).
@@ -238,21 +235,34 @@ def slope_tensor(edge, H, K, width, height, columns):
         columns: pixels sampled along the width.
     """
     rows, cols = edge.shape
+    flat, at = edge.ravel(), np.empty(columns, dtype=np.int32)
     lines = max(2, int(columns * height / width + 0.5))
-    xx, xy, yy = 0.0, 0.0, 0.0
+    zero, half, one = np.float32(0.0), np.float32(0.5), np.float32(1.0)
+    right, bottom = np.float32(cols - 1.5), np.float32(rows - 1.5)
+    x_first, x_step = -K[0, 2] / K[0, 0], (width - 1) / (columns - 1) / K[0, 0]
+    du, dv, dw = np.float32(H[0, 0] * x_step), np.float32(H[1, 0] * x_step), np.float32(H[2, 0] * x_step)
+    xx, xy, yy = zero, zero, zero
     for i in range(lines):
         y = ((height - 1) * i / (lines - 1) - K[1, 2]) / K[1, 1]
+        u_first = np.float32(H[0, 0] * x_first + H[0, 1] * y + H[0, 2])
+        v_first = np.float32(H[1, 0] * x_first + H[1, 1] * y + H[1, 2])
+        w_first = np.float32(H[2, 0] * x_first + H[2, 1] * y + H[2, 2])
         for j in range(columns):
-            x = ((width - 1) * j / (columns - 1) - K[0, 2]) / K[0, 0]
-            u, v = project(H, x, y)
-            if not is_inside(u - 0.5, v - 0.5, rows - 1, cols - 1):
-                continue
-            c, r = int(u + 0.5), int(v + 0.5)
-            gx = 0.5 * (edge[r, c + 1] - edge[r, c - 1])
-            gy = 0.5 * (edge[r + 1, c] - edge[r - 1, c])
-            xx += gx * gx
-            xy += gx * gy
-            yy += gy * gy
+            k = np.float32(j)
+            w = w_first + k * dw
+            u, v = (u_first + k * du) * (one / w), (v_first + k * dv) * (one / w)
+            seen = (w > zero) & (u >= half) & (v >= half) & (u < right) & (v < bottom)
+            c = np.int32(u + half) if seen else np.int32(0)
+            r = np.int32(v + half) if seen else np.int32(0)
+            at[j] = r * np.int32(cols) + c
+        for j in range(columns):
+            k = at[j]
+            # The first cell has no neighbours: it stands for what is not seen.
+            if k > 0:
+                gx, gy = half * (flat[k + 1] - flat[k - 1]), half * (flat[k + cols] - flat[k - cols])
+                xx += gx * gx
+                xy += gx * gy
+                yy += gy * gy
     return xx, xy, yy
 
 

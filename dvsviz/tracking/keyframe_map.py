@@ -90,10 +90,10 @@ class KeyframeMapper(Mapper):
         return -1
 
     def _is_keyframe(self, trace: Trace, overlap: float) -> bool:
-        anchors = [t for t in self.traces if t.keyframe >= 0]
+        anchors = [t.T_world_camera for t in self.traces if t.keyframe >= 0]
         if not anchors:
             return True
-        moved = float(self._view_changes_px(trace, anchors[-c.KEYFRAME_COMPARE :]).min())
+        moved = self._view_changes_px(trace.T_world_camera, np.stack(anchors[-c.KEYFRAME_COMPARE :])).min()
         limit = c.KEYFRAME_DISPLACEMENT * self.camera.width * min(1.0, max(0.2, len(anchors) / c.KEYFRAME_SETTLED))
         # What the map explains is a keyframe only for the baseline that it gives.
         return moved > c.REFINE_SPREAD * self.camera.width or (overlap < c.OVERLAP_KEYFRAME and moved > 0.3 * limit)

@@ -74,6 +74,10 @@ class Mapper:
         self._new_log: list[LogEntry] = []
         self._new_failures: list[Failure] = []
         self.revision_at_keyframes = 0
+        # Where the keyframes are among the traces, how many traces that was read from; poses of the last keyframes.
+        self._keyframe_at: list[int] = []
+        self._looked_at = 0
+        self._anchors: tuple[list[Trace], int, Array] = ([], 0, np.zeros((0, 4, 4)))
 
     @property
     def live_map(self) -> PlanarMap:
@@ -215,33 +219,36 @@ class Mapper:
 
     def _is_keyframe(self, trace: Trace, overlap: float) -> bool:
         count = len(self.keyframes)
-        anchors = self._last_keyframes(c.KEYFRAME_COMPARE)
-        if not anchors:
+        anchors = self._anchor_poses()
+        if len(anchors) == 0:
             return True
-        since_s = (trace.mid_us - anchors[-1].mid_us) * 1e-6
+        since_s = (trace.mid_us - self.traces[self._keyframe_at[-1]].mid_us) * 1e-6
         # The first keyframes lie close together: the first refinements repair the start.
         grown = min(1.0, count / c.KEYFRAME_SETTLED)
         if since_s >= c.KEYFRAME_SECONDS * max(grown, 0.2):
             return True
         limit = c.KEYFRAME_DISPLACEMENT * self.camera.width * max(grown, 0.2)
-        moved = float(self._view_changes_px(trace, anchors).min())
+        moved = float(self._view_changes_px(trace.T_world_camera, anchors).min())
         return moved > limit or (overlap < c.OVERLAP_KEYFRAME and moved > 0.3 * limit)
 
-    def _last_keyframes(self, most: int) -> list[Trace]:
-        """Return the traces of the last keyframes, in order."""
-        found: list[Trace] = []
-        for trace in reversed(self.traces):
-            if len(found) == min(most, len(self.keyframes)):
-                break
-            if trace.keyframe >= 0:
-                found.append(trace)
-        return found[::-1]
+    def _anchor_poses(self, most: int = c.KEYFRAME_COMPARE) -> Array:
+        """Return the poses (N, 4, 4) of the last keyframes, in order."""
+        for i in range(self._looked_at, len(self.traces)):
+            if self.traces[i].keyframe >= 0:
+                self._keyframe_at.append(i)
+        self._looked_at = len(self.traces)
+        known_in, count, poses = self._anchors
+        # A refinement puts another list in the place of the traces.
+        if known_in is not self.traces or count != len(self._keyframe_at):
+            last = [self.traces[i].T_world_camera for i in self._keyframe_at[-most:]]
+            poses = np.array(last).reshape(-1, 4, 4)
+            self._anchors = (self.traces, len(self._keyframe_at), poses)
+        return poses
 
-    def _view_changes_px(self, trace: Trace, others: list[Trace]) -> Array:
-        """Return about how far (px) the image moved between a view and each of others (N,)."""
-        T, Ts = trace.T_world_camera, np.stack([o.T_world_camera for o in others])
+    def _view_changes_px(self, T: Array, Ts: Array) -> Array:
+        """Return about how far (px) the image moved between a view (4, 4) and each of others (N, 4, 4)."""
         # The trace of R^T R' is 1 + 2 cos(angle).
-        cosine = 0.5 * (np.einsum("ij,kij->k", T[:3, :3], Ts[:, :3, :3]) - 1.0)
+        cosine = 0.5 * (Ts[:, :3, :3].reshape(-1, 9) @ T[:3, :3].ravel() - 1.0)
         turn = np.arccos(np.clip(cosine, -1.0, 1.0))
         shift = np.linalg.norm(Ts[:, :3, 3] - T[:3, 3], axis=1)
         return self.camera.focal_px * (turn + shift / self.plane.distance)
@@ -297,10 +304,11 @@ class Mapper:
     @property
     def _is_spread(self) -> bool:
         """True where the image moved enough between the first keyframe and the one farthest from it."""
-        anchors = [t for t in self.traces if t.keyframe >= 0]
+        anchors = [t.T_world_camera for t in self.traces if t.keyframe >= 0]
         if not anchors:
             return False
-        return float(self._view_changes_px(anchors[0], anchors).max()) >= c.REFINE_SPREAD * self.camera.width
+        moved = float(self._view_changes_px(anchors[0], np.stack(anchors)).max())
+        return moved >= c.REFINE_SPREAD * self.camera.width
 
     def _merge(self, job: Job) -> None:
         self.job = None

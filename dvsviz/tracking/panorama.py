@@ -144,7 +144,7 @@ def loop_error(
                 prior=prior,
                 iterations=iterations,
             )
-            fits.append((agreement(planar_map, aligned.value, aligned.T_world_camera, camera).score, aligned))
+            fits.append((agreement(planar_map, aligned, camera).score, aligned))
         if fits[0][0] > c.WEAK_RATIO * fits[1][0] and fits[0][1].inside > c.LOST_INSIDE:
             found.append(se3.log_so3(fits[0][1].T_world_camera[:3, :3] @ trace.T_world_camera[:3, :3].T))
     if 2 * len(found) <= len(last):

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from dvsviz.tracking.kernels import exp_rotation
+from dvsviz.geometry.rotation_kernels import exp_rotation
 
 # A window's rotation is interpolated linearly between nodes: at least so many intervals, and none turns by more than so
 # much (rad), which keeps it exact to 1e-4 rad.
@@ -73,9 +73,7 @@ def to_ridge(image, u, v):
     left, right, above, below = image[r, c - 1], image[r, c + 1], image[r - 1, c], image[r + 1, c]
     gx, gy = half * (right - left), half * (below - above)
     xx, yy = right - (here + here) + left, below - (here + here) + above
-    xy = np.float32(0.25) * (
-        image[r + 1, c + 1] - image[r + 1, c - 1] - image[r - 1, c + 1] + image[r - 1, c - 1]
-    )
+    xy = np.float32(0.25) * (image[r + 1, c + 1] - image[r + 1, c - 1] - image[r - 1, c + 1] + image[r - 1, c - 1])
     mean, diff = half * (xx + yy), half * (xx - yy)
     root = np.sqrt(diff * diff + xy * xy)
     curvature = mean - root
@@ -166,9 +164,7 @@ def _project(x, y, z, t_s, A, B, cells):
     b00, b01, b02, b10, b11, b12, b20, b21, b22 = B.ravel()
     for k in range(t_s.shape[0]):
         t = t_s[k]
-        w = np.float32(1.0) / (
-            (a20 + t * b20) * x[k] + (a21 + t * b21) * y[k] + (a22 + t * b22) * z[k]
-        )
+        w = np.float32(1.0) / ((a20 + t * b20) * x[k] + (a21 + t * b21) * y[k] + (a22 + t * b22) * z[k])
         u[k] = ((a00 + t * b00) * x[k] + (a01 + t * b01) * y[k] + (a02 + t * b02) * z[k]) * w
         v[k] = ((a10 + t * b10) * x[k] + (a11 + t * b11) * y[k] + (a12 + t * b12) * z[k]) * w
         by_depth[k] = w

@@ -76,7 +76,7 @@ def relocalize(
             prior=wide,
             iterations=c.RELOCALIZE_ITERATIONS,
         )
-        measured = agreement(planar_map, aligned.value, aligned.T_world_camera, camera)
+        measured = agreement(planar_map, aligned, camera)
         found.append((measured.score * min(1.0, aligned.inside), aligned.T_world_camera))
     if not found:
         return None
