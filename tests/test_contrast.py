@@ -192,7 +192,8 @@ def test_pose_equations_against_a_slow_reference() -> None:
     to_map = target @ (rotation_to_map(plane.normal) / np.array([[1.0], [1.0], [plane.distance]]))
     H, g = np.zeros((6, 6)), np.zeros(6)
     total, inside = pose_equations(
-        rays, (start + t_s).astype(np.float32), T[:3, :3].copy(), T[:3, 3].copy(), np.array(VELOCITY), TILTED, plane.distance, to_map, image,
+        rays, (start + t_s).astype(np.float32), T[:3, :3].copy(), T[:3, 3].copy(), np.array(VELOCITY), TILTED,
+        plane.distance, to_map, image,
         0.7, False, H, g,
     )  # fmt: skip
     slow_H, slow_g, slow_total, slow_inside = np.zeros((6, 6)), np.zeros(6), 0.0, 0

@@ -155,9 +155,7 @@ def test_finds_the_way_back(recording: Recording, tracked: tuple) -> None:
     tried = mapper.traces[10::12]
     for trace in tried:
         keyframes = [t.T_world_camera for t in mapper.traces if t.keyframe >= 0 and t.window != trace.window]
-        found = relocalize(
-            mapper.live_map, recording.camera, trace.deskewed(mapper.plane).astype(np.float32), keyframes, free=ALL
-        )
+        found = relocalize(mapper.live_map, recording.camera, trace.deskewed(mapper.plane), keyframes, free=ALL)
         assert found is not None
         delta = se3.inverse(found.T_world_camera) @ trace.T_world_camera
         near = np.linalg.norm(delta[:3, 3]) < 0.05 and np.degrees(se3.rotation_angle(delta[:3, :3])) < 3

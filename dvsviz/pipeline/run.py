@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 CHECKPOINT_US = 5_000_000
 """A checkpoint at least this often in recording time."""
 KEYFRAME_CHECKPOINT_US = 500_000
-"""At a keyframe, a checkpoint if the last one is older: a fast camera makes twenty a second, and each holds all windows."""
+"""At a keyframe one if the last is older: a fast camera makes twenty a second, and each holds all windows."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -315,7 +315,7 @@ class PoseFinder:
         found = relocalize(
             planar_map,
             self.camera,
-            trace.deskewed(self.mapper.plane).astype(np.float32),
+            trace.deskewed(self.mapper.plane),
             keyframes,
             free=self.free,
         )

@@ -133,6 +133,7 @@ class JointRefiner(Refiner):
         faces: Sequence[Plane] = (),
         most: int = c.JOINT_MAX_VIEWS,
         dropped: threading.Event | None = None,
+        awaited: threading.Event | None = None,
     ) -> Revised:
         """Return what takes the place of the traces and the map: 12 k - 4 parameters found together.
 
@@ -144,6 +145,7 @@ class JointRefiner(Refiner):
             faces: not used: this mode keeps to one plane.
             most: keyframes that are found together, at most `JOINT_MAX_VIEWS`.
             dropped: not used: what is found of the candidate is always wanted.
+            awaited: not used.
         """
         anchors = evenly([t for t in traces if _is_anchor(t)], min(most, c.JOINT_MAX_VIEWS))
         if len(anchors) < 2:

@@ -282,7 +282,7 @@ class Mapper:
 
     def begin_refinement(self, count: int, land_at: int) -> None:
         """Start a refinement of the first `count` traces that is merged at window `land_at`."""
-        dropped = threading.Event()
+        dropped, awaited = threading.Event(), threading.Event()
         pool = ThreadPoolExecutor(1, thread_name_prefix="refinement")
         future = pool.submit(
             self._refiner.revise,
@@ -292,9 +292,10 @@ class Mapper:
             faces=() if self.panorama is None else self.panorama.known_at(count),
             most=c.REFINE_LIVE_VIEWS if self.is_live else c.REFINE_MAX_VIEWS,
             dropped=dropped,
+            awaited=awaited,
         )
         pool.shutdown(wait=False)
-        self.job = Job(count=count, land_at=land_at, future=future, dropped=dropped)
+        self.job = Job(count=count, land_at=land_at, future=future, dropped=dropped, awaited=awaited)
 
     def _due(self) -> bool:
         """Return whether enough keyframes were added for the next refinement."""
@@ -312,6 +313,7 @@ class Mapper:
 
     def _merge(self, job: Job) -> None:
         self.job = None
+        job.awaited.set()
         revised = job.future.result()
         window = self.traces[-1].window
         self.log(window, "info", revised.text)

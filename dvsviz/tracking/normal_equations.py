@@ -187,26 +187,40 @@ def _observed(first, view, weight, residual, J, g, band, pivot):
 
 @numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
 def _times_observed(first, view, weight, J, total, x, out):
-    """Add the product of the observations' reduced matrix with x (6 K + 2,)."""
+    """Add the product of the observations' reduced matrix with x (6 K + 2,), in the precision of J."""
     poses = x.shape[0] - 2
-    n0, n1 = x[poses], x[poses + 1]
-    along = np.empty(view.shape[0])
+    # By view, eight numbers each: one line of the cache.
+    x_view, out_view = np.empty((poses // 6, 8), dtype=J.dtype), np.zeros((poses // 6, 8))
+    for k in range(poses // 6):
+        for q in range(6):
+            x_view[k, q] = x[6 * k + q]
+        x_view[k, 6], x_view[k, 7] = x[poses], x[poses + 1]
+    most = 1
     for j in range(first.shape[0] - 1):
-        mean = 0.0
-        for i in range(first[j], first[j + 1]):
-            at, s = 6 * view[i], 0.0
-            for q in range(6):
-                s += J[i, q] * x[at + q]
-            along[i] = s
-            mean += weight[i] * s
-        mean /= max(total[j], 1e-30)
-        for i in range(first[j], first[j + 1]):
-            at = 6 * view[i]
-            s = weight[i] * (along[i] - mean + J[i, 6] * n0 + J[i, 7] * n1)
-            for q in range(6):
-                out[at + q] += J[i, q] * s
-            out[poses] += J[i, 6] * s
-            out[poses + 1] += J[i, 7] * s
+        most = max(most, first[j + 1] - first[j])
+    along, sums = np.empty(most, dtype=J.dtype), np.zeros(2, dtype=J.dtype)
+    for j in range(first.shape[0] - 1):
+        a, b = first[j], first[j + 1]
+        if b - a < 2:
+            continue
+        sums[:] = 0.0
+        for i in range(a, b):
+            row, other = J[i], x_view[view[i]]
+            s = row[0] * other[0] + row[1] * other[1] + row[2] * other[2]
+            s += row[3] * other[3] + row[4] * other[4] + row[5] * other[5]
+            sums[0] += weight[i] * s
+            along[i - a] = s + row[6] * other[6] + row[7] * other[7]
+        sums[1] = sums[0] / total[j]
+        for i in range(a, b):
+            s = weight[i] * (along[i - a] - sums[1])
+            row, into = J[i], out_view[view[i]]
+            for q in range(8):
+                into[q] += row[q] * s
+    for k in range(poses // 6):
+        for q in range(6):
+            out[6 * k + q] += out_view[k, q]
+        out[poses] += out_view[k, 6]
+        out[poses + 1] += out_view[k, 7]
 
 
 @numba.njit(cache=True, nogil=True)

@@ -24,13 +24,12 @@ from dvsviz.geometry.plane import (
     turn_normal_derivative,
 )
 from dvsviz.tracking import constants as c
-from dvsviz.tracking.edges import Ridges, Shown, associate, bounds, find_ridges, to_cells
+from dvsviz.tracking.edges import Ridges, Seen, Shown, ViewEvents, associate, find_ridges, show
+from dvsviz.tracking.halves import Halves
 from dvsviz.tracking.normal_equations import landmark_jacobians, solve_views
 from dvsviz.tracking.smooth_motion import SmoothMotion
 
 Array = NDArray[np.float64]
-# Landmark (M,), view (M,) and means (M, 4), as `associate` returns them.
-_Associated = tuple[NDArray[np.int64], NDArray[np.int64], Array]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -38,12 +37,12 @@ class View:
     """A window as the refinement sees it: de-skewed bearings at one pose.
 
     Attributes:
-        bearings: (N, 2), all events moved to the time of the pose.
+        bearings: (N, 2) float32, all events moved to the time of the pose.
         T_world_camera: pose (4, 4).
         t_s: its time; views of one time are not tied to each other.
     """
 
-    bearings: Array
+    bearings: NDArray[np.float32]
     T_world_camera: Array
     t_s: float = 0.0
 
@@ -88,6 +87,7 @@ def refine(
     faces: Sequence[Plane] = (),
     rounds_with_all: int = 0,
     stop: Callable[[], bool] | None = None,
+    halves: Halves | None = None,
 ) -> Refinement:
     """Return the poses of the views and the plane that bring the views' edges together.
 
@@ -103,12 +103,13 @@ def refine(
             then not refined.
         rounds_with_all: more rounds, with the events that were held out too, once they have judged the result.
         stop: asked before each round: no more rounds where it is true.
+        halves: on how many cores.
     """
     Ts = np.stack([v.T_world_camera for v in views])
-    train = [np.ascontiguousarray(v.bearings[0::2]) for v in views]
-    test = [np.ascontiguousarray(v.bearings[1::2]) for v in views]
+    halves = halves or Halves()
+    train, test = (ViewEvents.of([v.bearings[k::2] for v in views]) for k in (0, 1))
     start = (Ts, plane, SmoothMotion.between(np.array([v.t_s for v in views]), Ts))
-    before = disagreement(test, Ts, plane, px_per_unit, faces)
+    before = disagreement(test, Ts, plane, px_per_unit, faces, halves)
     # The gate closes over the first rounds; the rest converge with it closed.
     gates = np.geomspace(c.REFINE_GATE_START_PX, c.REFINE_GATE_END_PX, 4)
     residual, landmarks, done = float("nan"), 0, 0
@@ -116,18 +117,18 @@ def refine(
         if stop is not None and stop():
             break
         gate = float(gates[min(i, 3)])
-        step = _round(train, Ts, plane, start, px_per_unit, gate, free, solve_normal, held, faces)
+        step = _round(train, Ts, plane, start, px_per_unit, gate, free, solve_normal, held, faces, halves)
         if step is None:
             break
         Ts, plane, residual, landmarks, size = step
         done += 1
         if i >= 4 and size < c.REFINE_STEP:
             break
-    after = disagreement(test, Ts, plane, px_per_unit, faces)
-    everything = [v.bearings for v in views]
+    after = disagreement(test, Ts, plane, px_per_unit, faces, halves)
+    everything = ViewEvents.of([v.bearings for v in views]) if rounds_with_all and after < before else train
     for _ in range(rounds_with_all if after < before else 0):
         gate = c.REFINE_GATE_END_PX
-        step = _round(everything, Ts, plane, start, px_per_unit, gate, free, solve_normal, held, faces)
+        step = _round(everything, Ts, plane, start, px_per_unit, gate, free, solve_normal, held, faces, halves)
         if step is None:
             break
         Ts, plane, residual, landmarks, _ = step
@@ -143,24 +144,18 @@ def refine(
     )
 
 
-def _shown(bearings: list[Array], Ts: Array, plane: Plane, scale: float, is_face: bool) -> Shown:
+def _shown(events: ViewEvents, Ts: Array, plane: Plane, scale: float, is_face: bool, halves: Halves) -> Shown:
     """Return what the views show of a plane: all of all views, but on a face of a panorama what is near to it."""
-    views = list(range(len(bearings)))
+    views = np.arange(len(Ts))
     if is_face:
-        near = [_on_face(b, T, plane) for b, T in zip(bearings, Ts, strict=True)]
-        views = [k for k in views if near[k].any()]
-        bearings = [bearings[k][near[k]] for k in views]
-    together = np.concatenate([np.zeros((0, 2)), *bearings])
-    first = np.cumsum([0, *map(len, bearings)])
-    cells = np.empty_like(together)
+        near = [_on_face(events.of_view(k), T, plane) for k, T in enumerate(Ts)]
+        seen = [k for k, some in enumerate(near) if some.any()]
+        views, events = np.array(seen, dtype=np.int64), ViewEvents.of([events.of_view(k)[near[k]] for k in seen])
     H = np.array([homography_map_camera(Ts[k], plane) for k in views]).reshape(-1, 3, 3)
-    to_cells(together, first, np.array([[scale], [scale], [1.0]]) * H, cells)
-    low, shape = bounds(cells)
-    cells -= low
-    return Shown(views=np.array(views, dtype=np.int64), first=first, bearings=together, cells=cells, shape=shape)
+    return show(events, views, np.array([[scale], [scale], [1.0]]) * H, halves)
 
 
-def _on_face(bearings: Array, T: Array, plane: Plane) -> NDArray[np.bool_]:
+def _on_face(bearings: NDArray[np.float32], T: Array, plane: Plane) -> NDArray[np.bool_]:
     """Return which bearings (N, 2) of a view lie on a face of a panorama."""
     n_camera = plane.normal @ T[:3, :3]
     ahead = bearings @ n_camera[:2] + n_camera[2] < -1e-3
@@ -169,21 +164,16 @@ def _on_face(bearings: Array, T: Array, plane: Plane) -> NDArray[np.bool_]:
     return ahead & (np.abs(q[:, :2]) < c.FACE_REFINED * q[:, 2:]).all(axis=1)
 
 
-def _landmarks(shown: Shown, gate: float) -> tuple[Ridges, _Associated] | None:
+def _landmarks(shown: Shown, gate: float, halves: Halves) -> tuple[Ridges, Seen] | None:
     """Return the ridges that views show together, and what each view saw of them."""
     if len(shown.views) < 2:
         return None
-    ridges = find_ridges(shown.cells, shown.shape, gate)
-    if ridges is None:
-        return None
-    seen = associate(
-        shown.cells, shown.bearings, shown.first, ridges.label, ridges.xy, ridges.normal, gate, c.REFINE_MIN_EVENTS
-    )
-    return ridges, seen
+    ridges = find_ridges(shown, gate, halves)
+    return None if ridges is None else (ridges, associate(shown, ridges, gate, halves))
 
 
 def disagreement(
-    bearings: list[Array], Ts: Array, plane: Plane, scale: float, faces: Sequence[Plane] = ()
+    events: ViewEvents, Ts: Array, plane: Plane, scale: float, faces: Sequence[Plane], halves: Halves
 ) -> float:
     """Return how far (sensor px, RMS) the views disagree on where their shared edges lie.
 
@@ -194,11 +184,12 @@ def disagreement(
     """
     squares, weights = 0.0, 0.0
     for face in faces or (plane,):
-        found = _landmarks(_shown(bearings, Ts, face, scale, bool(faces)), c.REFINE_JUDGE_GATE_PX)
+        shown = _shown(events, Ts, face, scale, bool(faces), halves)
+        found = _landmarks(shown, c.REFINE_JUDGE_GATE_PX, halves)
         if found is None:
             continue
-        landmark, _, mean = found[1]
-        shared = np.bincount(landmark)[landmark] >= 2
+        landmark, mean = found[1].landmark, found[1].mean
+        shared = np.diff(found[1].first)[landmark] >= 2
         landmark, weight, value = (
             landmark[shared],
             np.minimum(mean[shared, 0], c.REFINE_MAX_EVENTS),
@@ -221,28 +212,29 @@ class _Observations:
     Attributes:
         first: of each landmark its first observation (L + 1,).
         view: of each observation (M,).
-        weight: the same (M,).
-        residual: distance (M,), map px.
-        J: its derivative (M, 8) by the view's pose, moved in the world, and the plane's normal.
+        weight: the same (M,) float32.
+        residual: distance (M,) float32, map px.
+        J: its derivative (M, 8) float32 by the view's pose, moved in the world, and the plane's normal.
     """
 
     first: NDArray[np.int64]
     view: NDArray[np.int64]
-    weight: Array
-    residual: Array
-    J: Array
+    weight: NDArray[np.float32]
+    residual: NDArray[np.float32]
+    J: NDArray[np.float32]
 
 
 def _observations(
-    bearings: list[Array], Ts: Array, plane: Plane, scale: float, gate: float, is_face: bool
+    events: ViewEvents, Ts: Array, plane: Plane, scale: float, gate: float, is_face: bool, halves: Halves
 ) -> _Observations | None:
-    shown = _shown(bearings, Ts, plane, scale, is_face)
-    found = _landmarks(shown, gate)
+    shown = _shown(events, Ts, plane, scale, is_face, halves)
+    found = _landmarks(shown, gate, halves)
     if found is None:
         return None
-    ridges, (landmark, row, mean) = found
-    view = shown.views[row]
-    J = np.empty((len(view), 8))
+    ridges, seen = found
+    view, mean = shown.views[seen.view], seen.mean
+    # What is read in each iteration of the solver, in half the bytes.
+    J = np.empty((len(view), 8), dtype=np.float32)
     landmark_jacobians(
         np.ascontiguousarray(mean[:, 2:]),
         view,
@@ -252,7 +244,7 @@ def _observations(
         plane.distance,
         rotation_to_map(plane.normal),
         scale,
-        ridges.normal[landmark],
+        ridges.normal[seen.landmark],
         turn_normal_derivative(plane.normal, np.zeros(2)),
         J,
     )
@@ -260,8 +252,9 @@ def _observations(
     # Huber on the mean residual of a landmark in a view.
     huber, off = 0.5 * gate, np.abs(residual)
     weight *= np.where(off > huber, huber / np.maximum(off, 1e-9), 1.0)
-    first = np.searchsorted(landmark, np.arange(len(ridges.xy) + 1))
-    return _Observations(first=first, view=view, weight=weight, residual=residual, J=J)
+    return _Observations(
+        first=seen.first, view=view, weight=weight.astype(np.float32), residual=residual.astype(np.float32), J=J
+    )
 
 
 def _together(parts: list[_Observations]) -> _Observations:
@@ -279,7 +272,7 @@ def _together(parts: list[_Observations]) -> _Observations:
 
 
 def _round(
-    bearings: list[Array],
+    events: ViewEvents,
     Ts: Array,
     plane: Plane,
     start: tuple[Array, Plane, SmoothMotion],
@@ -289,8 +282,9 @@ def _round(
     solve_normal: bool,
     held: int,
     faces: Sequence[Plane],
+    halves: Halves,
 ) -> tuple[Array, Plane, float, int, float] | None:
-    parts = [_observations(bearings, Ts, face, scale, gate, bool(faces)) for face in faces or (plane,)]
+    parts = [_observations(events, Ts, face, scale, gate, bool(faces), halves) for face in faces or (plane,)]
     seen = _together([p for p in parts if p is not None]) if any(p is not None for p in parts) else None
     if seen is None or not seen.weight.sum() > 0:
         return None

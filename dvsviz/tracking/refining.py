@@ -21,6 +21,7 @@ from dvsviz.geometry.camera import Camera
 from dvsviz.geometry.plane import Plane
 from dvsviz.tracking import constants as c
 from dvsviz.tracking.align import align_each
+from dvsviz.tracking.halves import Halves
 from dvsviz.tracking.panorama import is_full, nearest, turned_away
 from dvsviz.tracking.planar_map import PlanarMap
 from dvsviz.tracking.refine import View, refine
@@ -34,6 +35,10 @@ Item = TypeVar("Item")
 _TOGETHER = 32
 # Level of the map from which on they are aligned: they lie near.
 _FIRST_LEVEL = 1
+
+
+def _always() -> bool:
+    return True
 
 
 def evenly(items: list[Item], most: int) -> list[Item]:
@@ -71,12 +76,14 @@ class Job:
         land_at: window at which it is merged.
         future: its result.
         dropped: set where nobody wants it any more.
+        awaited: set where the tracker waits for it.
     """
 
     count: int
     land_at: int
     future: Future[Revised]
     dropped: threading.Event
+    awaited: threading.Event
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -105,6 +112,7 @@ class Refiner:
         faces: Sequence[Plane] = (),
         most: int = c.REFINE_MAX_VIEWS,
         dropped: threading.Event | None = None,
+        awaited: threading.Event | None = None,
     ) -> Revised:
         """Return what takes the place of the traces and the map.
 
@@ -116,11 +124,14 @@ class Refiner:
             faces: the planes of a panorama, in place of the one plane.
             most: windows that are refined; the others are carried along.
             dropped: set where the result is not wanted any more: then nothing is revised.
+            awaited: set where the tracker waits for the result, and both cores are free; always where None.
         """
+        halves = Halves(is_awaited=_always if awaited is None else awaited.is_set)
         planes = tuple(faces) or (plane,)
         chosen = self._chosen(traces, most)
+        limit = sum(len(t.bearings) for t in chosen) if last else c.REFINE_EVENTS // len(chosen)
         result = refine(
-            [self._view(t, planes, traces[0].mid_us) for t in chosen],
+            [self._view(t, planes, traces[0].mid_us, limit) for t in chosen],
             planes[0],
             self.camera.focal_px,
             free=self.free,
@@ -129,6 +140,7 @@ class Refiner:
             faces=faces if len(faces) > 1 else (),
             rounds_with_all=c.REFINE_ROUNDS_WITH_ALL if last else 0,
             stop=dropped.is_set if dropped is not None else None,
+            halves=halves,
         )
         if dropped is not None and dropped.is_set():
             return Revised(traces=tuple(traces), plane=plane, planar_map=None, text="dropped", accepted=False)
@@ -142,7 +154,7 @@ class Refiner:
             planes = (result.plane,) if len(planes) == 1 else planes
         elif not first:
             return Revised(traces=tuple(traces), plane=plane, planar_map=None, text=text, accepted=False)
-        planar_map = self.build(kept, planes[nearest(planes, kept[-1].T_world_camera)])
+        planar_map = self.build(kept, planes[nearest(planes, kept[-1].T_world_camera)], halves=halves)
         return Revised(
             traces=tuple(kept), plane=planar_map.plane, planar_map=planar_map, text=text, accepted=result.accepted
         )
@@ -157,11 +169,16 @@ class Refiner:
         return [traces[i] for i in sorted(keyframes + others)]
 
     @staticmethod
-    def _view(trace: Trace, planes: Sequence[Plane], start_us: int) -> View:
-        """Return a window as it is refined; one that was weak is only carried along by those around it."""
-        bearings = np.zeros((0, 2))
+    def _view(trace: Trace, planes: Sequence[Plane], start_us: int, limit: int) -> View:
+        """Return a window as it is refined, with at most `limit` events.
+
+        One that was weak is only carried along by those around it.
+        """
+        bearings = np.zeros((0, 2), dtype=np.float32)
         if trace.is_trusted and trace.keyframe != HELD:
-            bearings = trace.deskewed(planes[nearest(planes, trace.T_world_camera)])
+            bearings = trace.deskewed(
+                planes[nearest(planes, trace.T_world_camera)], -(-len(trace.bearings) // max(1, limit))
+            )
         t_s = (trace.mid_us - start_us) * 1e-6
         return View(bearings=bearings, T_world_camera=trace.T_world_camera, t_s=t_s)
 
@@ -179,14 +196,41 @@ class Refiner:
         text = f"{len(kept)} windows put back on their common map"
         return Revised(traces=tuple(kept), plane=plane, planar_map=planar_map, text=text, accepted=False)
 
-    def build(self, traces: Sequence[Trace], plane: Plane, *, freeze_px: float = float("inf")) -> PlanarMap:
+    def build(
+        self,
+        traces: Sequence[Trace],
+        plane: Plane,
+        *,
+        freeze_px: float = float("inf"),
+        halves: Halves | None = None,
+    ) -> PlanarMap:
         """Return the map of all traces, frozen where it was seen well.
 
         Args:
             traces: in time order; of a panorama those that show something of the face are taken.
             plane: on which.
             freeze_px: a block swept by more is no longer written while the map is made.
+            halves: on how many cores.
         """
+        if self.is_panorama:
+            away = turned_away(plane, traces)
+            traces = [t for t, angle in zip(traces, away, strict=True) if angle < c.FACE_SEEN_RAD]
+        traces = [t for t in traces if t.is_trusted]
+        if np.isfinite(freeze_px):
+            # What is written depends on what was written before.
+            planar_map = self._written(traces, plane, freeze_px)
+        else:
+            planar_map, other = (halves or Halves()).both(
+                lambda start, end: self._written(traces[start:end], plane, freeze_px), len(traces) // 2, len(traces)
+            )
+            planar_map.take_in(other)
+        planar_map.freeze_px = c.FREEZE_DISPLACEMENT_PX
+        planar_map.settle()
+        planar_map.prepare(_FIRST_LEVEL)
+        return planar_map
+
+    def _written(self, traces: Sequence[Trace], plane: Plane, freeze_px: float) -> PlanarMap:
+        """Return a map with some traces on it."""
         size = np.array([self.camera.width, self.camera.height])
         planar_map = PlanarMap(
             plane,
@@ -196,16 +240,10 @@ class Refiner:
             freeze_px=freeze_px,
             reach=c.FACE_REACH if self.is_panorama else float("inf"),
         )
-        if self.is_panorama:
-            away = turned_away(plane, traces)
-            traces = [t for t, angle in zip(traces, away, strict=True) if angle < c.FACE_SEEN_RAD]
-        for trace in (t for t in traces if t.is_trusted):
+        for trace in traces:
             if np.isfinite(freeze_px) and is_full(planar_map, trace, self.camera):
                 continue
             add_to_map(planar_map, trace, (self.camera.height, self.camera.width), self.camera.matrix)
-        planar_map.freeze_px = c.FREEZE_DISPLACEMENT_PX
-        planar_map.settle()
-        planar_map.prepare(_FIRST_LEVEL)
         return planar_map
 
     def append(self, planar_map: PlanarMap, before: Trace, after: Trace, later: Sequence[Trace]) -> list[Trace]:

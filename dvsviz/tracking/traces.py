@@ -88,13 +88,13 @@ class Trace:
         scale = (_NODES - 1) / max(self.duration_s, 1e-6)
         return Warp(nodes=nodes, scale=scale, d_nodes=np.zeros((0, *nodes.shape)))
 
-    def deskewed(self, plane: Plane) -> Array:
-        """Return the bearings (N, 2) moved to the time of the pose."""
-        uv = warp_points(self.bearings, self.t_s, self.warp(plane, np.eye(3))).astype(np.float64)
-        H = np.linalg.inv(homography_map_camera(self.T_world_camera, plane))
-        q = uv @ H[:, :2].T + H[:, 2]
-        bearings = q[:, :2] / q[:, 2:]
-        return bearings[np.isfinite(bearings).all(axis=1)]
+    def deskewed(self, plane: Plane, step: int = 1) -> NDArray[np.float32]:
+        """Return every so manieth of the bearings (N, 2) float32, moved to the time of the pose."""
+        back = np.asarray(np.linalg.inv(homography_map_camera(self.T_world_camera, plane)), dtype=np.float64)
+        some, t_s = np.ascontiguousarray(self.bearings[::step]), np.ascontiguousarray(self.t_s[::step])
+        bearings = warp_points(some, t_s, self.warp(plane, back))
+        seen = np.isfinite(bearings[:, 0])
+        return bearings if seen.all() else bearings[seen]
 
 
 def correct(traces: Sequence[Trace], poses: dict[int, Array]) -> list[Trace]:
