@@ -23,6 +23,9 @@ Array = NDArray[np.float64]
 # window exact to 1e-4 rad.
 _NODES = 5
 
+# Longest time between two windows, s, across which the camera moved on: over a gap a difference is no velocity.
+_JOINED_S = 0.4
+
 HELD = -2
 
 
@@ -134,8 +137,8 @@ def with_poses(traces: Sequence[Trace], Ts_world_camera: Array) -> list[Trace]:
     a, b = np.maximum(np.arange(n) - 1, 0), np.minimum(np.arange(n) + 1, n - 1)
     mid_us = np.array([t.mid_us for t in traces])
     dt = (mid_us[b] - mid_us[a]) * 1e-6
-    # Over a gap the difference is no velocity: what was tracked is kept.
-    known = (dt > 0) & (dt < 0.4)
+    # Over a gap what was tracked is kept.
+    known = (dt > 0) & (dt < _JOINED_S)
     by_dt = 1.0 / np.where(known, dt, 1.0)[:, None]
     R, p = Ts_world_camera[:, :3, :3], Ts_world_camera[:, :3, 3]
     omega = se3.log_so3(np.swapaxes(R[a], 1, 2) @ R[b]) * by_dt
@@ -149,16 +152,31 @@ def with_poses(traces: Sequence[Trace], Ts_world_camera: Array) -> list[Trace]:
 
 
 def window_poses(traces: Sequence[Trace]) -> list[tuple[int, Array]]:
-    """Return each trace's window and `T_world_start` (4, 4)."""
+    """Return each trace's window and its pose (4, 4) at the window's start.
+
+    A window begins where the one before ends, half way between two poses that were solved for: there the cubic through
+    both with their velocities (Hermite) is taken, which an acceleration does not bend away as it does a step back from
+    the middle. After a gap that step is all there is.
+    """
     if not traces:
         return []
     Ts = np.stack([t.T_world_camera for t in traces])
-    back = -np.array([t.mid_s for t in traces])[:, None]
-    R = Ts[:, :3, :3]
-    turned = R @ se3.exp_so3(back * np.stack([t.omega for t in traces]))
-    moved = np.einsum("kij,kj->ki", R, np.stack([t.velocity for t in traces])) * back
-    poses = se3.pose(turned, Ts[:, :3, 3] + moved)
-    return [(t.window, T) for t, T in zip(traces, poses, strict=True)]
+    R, p = Ts[:, :3, :3], Ts[:, :3, 3]
+    omega, velocity = np.stack([t.omega for t in traces]), np.stack([t.velocity for t in traces])
+    velocity = np.einsum("kij,kj->ki", R, velocity)
+    back = np.array([t.mid_s for t in traces])[:, None]
+    starts = se3.pose(R @ se3.exp_so3(-back * omega), p - velocity * back)
+    dt = np.diff([t.mid_us for t in traces])[:, None] * 1e-6
+    joined = np.flatnonzero((dt[:, 0] > 0) & (dt[:, 0] < _JOINED_S) & (back[1:, 0] < dt[:, 0]))
+    if len(joined):
+        a, b, dt = joined, joined + 1, dt[joined]
+        s = 1.0 - back[b] / dt
+        turn = se3.log_so3(np.swapaxes(R[a], 1, 2) @ R[b])
+        before, after = s * (1 - s) ** 2 * dt, s**2 * (s - 1) * dt
+        share = s**2 * (3 - 2 * s)
+        starts[b, :3, :3] = R[a] @ se3.exp_so3(share * turn + before * omega[a] + after * omega[b])
+        starts[b, :3, 3] = p[a] + share * (p[b] - p[a]) + before * velocity[a] + after * velocity[b]
+    return [(t.window, T) for t, T in zip(traces, starts, strict=True)]
 
 
 def add_to_map(planar_map: PlanarMap, trace: Trace, sensor: tuple[int, int], K: Array) -> None:
