@@ -11,6 +11,12 @@ from typing import Final
 # Mean image displacement a window should cover, as a share of the image's width: 3 px of 240. Below 1 px events carry
 # little structure, above 4 px of 240 constant velocity no longer holds.
 WINDOW_DISPLACEMENT: Final = 3.0 / 240
+# Of a slow camera whose windows show so many edge pixels, a window ends after so long (s), but covers at least so much:
+# a hand's speed changes within 50 ms, and few edges want every px. Median over six seeds of rotdisk's rate of roll, off
+# the gyroscope's: 0.81 (planar 0.88) deg/s without, RATES with; low_texture, whose edges are few, stays as it is.
+WINDOW_EDGE_PIXELS: Final = 600
+WINDOW_SECONDS: Final = 0.03
+WINDOW_DISPLACEMENT_LEAST: Final = 2.0 / 240
 WINDOW_EVENTS_MIN: Final = 800
 # The largest window, for a sensor of so many pixels; more in proportion where there are more.
 WINDOW_EVENTS_MAX: Final = 60_000

@@ -172,6 +172,11 @@ class Tracker:
             self._motion.t_us = mid_us
         if self._motion.status not in (Status.LOST, Status.RELOCALIZING):
             wanted_px = c.WINDOW_DISPLACEMENT * self.camera.width
+            clear = self._motion.status in (Status.TRACKING, Status.INITIALIZING)
+            if clear and images.edge_pixels >= c.WINDOW_EDGE_PIXELS:
+                speed = images.displacement_px / max(window.duration_s, 1e-6)
+                least_px = c.WINDOW_DISPLACEMENT_LEAST * self.camera.width
+                wanted_px = min(wanted_px, max(least_px, speed * c.WINDOW_SECONDS))
             if relief is not None or (self.config.motion != "planar" and self._is_undecided):
                 wanted_px = c.RELIEF_DISPLACEMENT_PX
             self._motion.resize(images.displacement_px, wanted_px * self.stretch, self._most_events)
