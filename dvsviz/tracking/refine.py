@@ -86,6 +86,7 @@ def refine(
     rounds: int = c.REFINE_ROUNDS,
     faces: Sequence[Plane] = (),
     rounds_with_all: int = 0,
+    is_anchored: bool = False,
     stop: Callable[[], bool] | None = None,
     halves: Halves | None = None,
 ) -> Refinement:
@@ -102,13 +103,18 @@ def refine(
         faces: of a panorama: the planes on which edges are looked for instead, all poses solved together; the normal is
             then not refined.
         rounds_with_all: more rounds, with the events that were held out too, once they have judged the result.
+        is_anchored: poses are pulled to the world's origin, not to where they start, and no events are held out.
         stop: asked before each round: no more rounds where it is true.
         halves: on how many cores.
     """
     Ts = np.stack([v.T_world_camera for v in views])
     halves = halves or Halves()
     train, test = (ViewEvents.of([v.bearings[k::2] for v in views]) for k in (0, 1))
-    start = (Ts, plane, SmoothMotion.between(np.array([v.t_s for v in views]), Ts))
+    if is_anchored:
+        train = ViewEvents.of([v.bearings for v in views])
+    motion = SmoothMotion.between(np.array([v.t_s for v in views]), Ts)
+    held_to = np.tile(np.eye(4), (len(Ts), 1, 1)) if is_anchored else Ts
+    start = _Start(Ts_world_camera=held_to, plane=plane, motion=motion)
     before = disagreement(test, Ts, plane, px_per_unit, faces, halves)
     # The gate closes over the first rounds; the rest converge with it closed.
     gates = np.geomspace(c.REFINE_GATE_START_PX, c.REFINE_GATE_END_PX, 4)
@@ -206,6 +212,21 @@ def disagreement(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Start:
+    """What a refinement leaves only for good reason.
+
+    Attributes:
+        Ts_world_camera: poses (K, 4, 4).
+        plane: and its normal.
+        motion: how even the poses' motion is.
+    """
+
+    Ts_world_camera: Array
+    plane: Plane
+    motion: SmoothMotion
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Observations:
     """Landmarks as views saw them.
 
@@ -275,7 +296,7 @@ def _round(
     events: ViewEvents,
     Ts: Array,
     plane: Plane,
-    start: tuple[Array, Plane, SmoothMotion],
+    start: _Start,
     scale: float,
     gate: float,
     free: NDArray[np.bool_],
@@ -295,8 +316,8 @@ def _round(
     strength = c.REFINE_CORRELATED * c.REFINE_VARIANCE_PX2
     prior = np.full(len(live), strength / c.REFINE_PRIOR_POSE**2 * min(1.0, c.REFINE_PRIOR_VIEWS / len(Ts)))
     prior[-2:] = strength / c.REFINE_PRIOR_NORMAL_RAD**2
-    gradient = prior * _offset(start[0], start[1], Ts, plane)
-    motion = start[2]
+    gradient = prior * _offset(start.Ts_world_camera, start.plane, Ts, plane)
+    motion = start.motion
     gradient[:-2] += strength * motion.gradient(Ts)
     x = solve_views(
         seen.first,

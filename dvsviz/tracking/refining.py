@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -26,13 +25,11 @@ from dvsviz.tracking.panorama import is_full, nearest, turned_away
 from dvsviz.tracking.planar_map import PlanarMap
 from dvsviz.tracking.refine import View, refine
 from dvsviz.tracking.sampling import thinned
-from dvsviz.tracking.traces import HELD, Trace, add_to_map, correct, with_poses
+from dvsviz.tracking.traces import HELD, Trace, add_to_map, correct
 
 Array = NDArray[np.float64]
 Item = TypeVar("Item")
 
-# Windows that a thread puts back on the map in one call.
-_TOGETHER = 32
 # Level of the map from which on they are aligned: they lie near.
 _FIRST_LEVEL = 1
 
@@ -183,18 +180,30 @@ class Refiner:
         return View(bearings=bearings, T_world_camera=trace.T_world_camera, t_s=t_s)
 
     def settle(self, traces: Sequence[Trace], plane: Plane) -> Revised:
-        """Return every window put back on the map of all, pulled to the first pose, again and again.
+        """Return the windows refined together with all their events, pulled to the first pose; the normal is held.
 
-        Where the image hardly moved, turning and moving sideways look alike and a refinement only wanders: the least
-        motion that explains the events is the answer that does not depend on how the windows were cut.
+        Where the image hardly moved, turning and moving sideways look alike, and what a refinement would leave only for
+        good reason is itself in doubt: held to the first pose, one answer does not depend on how windows are cut.
         """
-        kept = list(traces)
-        planar_map = self.build(kept, plane)
-        for _ in range(c.SETTLE_PASSES):
-            kept = self._put_back(planar_map, kept, anchored=c.SETTLE_ANCHOR**-2)
-            planar_map = self.build(kept, plane)
-        text = f"{len(kept)} windows put back on their common map"
-        return Revised(traces=tuple(kept), plane=plane, planar_map=planar_map, text=text, accepted=False)
+        chosen = self._chosen(traces, c.REFINE_MAX_VIEWS)
+        result = refine(
+            [self._view(t, (plane,), traces[0].mid_us, len(t.bearings)) for t in chosen],
+            plane,
+            self.camera.focal_px,
+            free=self.free,
+            solve_normal=False,
+            rounds=c.SETTLE_ROUNDS,
+            is_anchored=True,
+            halves=Halves(is_awaited=_always),
+        )
+        kept = correct(traces, {t.window: T for t, T in zip(chosen, result.Ts_world_camera, strict=True)})
+        return Revised(
+            traces=tuple(kept),
+            plane=plane,
+            planar_map=self.build(kept, plane),
+            text=f"{len(chosen)} windows of little motion refined together, held to the first pose",
+            accepted=False,
+        )
 
     def build(
         self,
@@ -272,15 +281,7 @@ class Refiner:
                 add_to_map(planar_map, moved, sensor, self.camera.matrix)
         return appended
 
-    def _put_back(self, planar_map: PlanarMap, traces: Sequence[Trace], *, anchored: float) -> list[Trace]:
-        """Return the traces aligned with a map, on both cores; those that said nothing stay."""
-        planar_map.prepare(_FIRST_LEVEL)
-        some = [traces[i : i + _TOGETHER] for i in range(0, len(traces), _TOGETHER)]
-        with ThreadPoolExecutor(c.CORES) as pool:
-            found = pool.map(partial(self._aligned, planar_map, anchored=anchored), some)
-            return with_poses(traces, np.concatenate([np.zeros((0, 4, 4)), *found]))
-
-    def _aligned(self, planar_map: PlanarMap, traces: Sequence[Trace], *, anchored: float = 0.0) -> Array:
+    def _aligned(self, planar_map: PlanarMap, traces: Sequence[Trace]) -> Array:
         picks = [np.zeros(0, dtype=np.int64) if t.keyframe == HELD else thinned(len(t.bearings)) for t in traces]
         found = align_each(
             planar_map,
@@ -293,6 +294,5 @@ class Refiner:
             free=self.free,
             first_level=_FIRST_LEVEL,
             to_lines=True,
-            anchored=anchored,
         )
         return np.array([one.T_world_camera for one in found])
