@@ -31,6 +31,9 @@ from dvsviz.tracking.smooth_motion import SmoothMotion
 Array = NDArray[np.float64]
 # Landmark (M,), view (M,) and means (M, 4), as `associate` returns them.
 _Associated = tuple[NDArray[np.int64], NDArray[np.int64], Array]
+# Events of a view that tell how large its pixels are on the plane, and the least cosine and distance that count.
+_SCALE_EVENTS = 100
+_SLANT = 1e-3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -94,7 +97,7 @@ def refine(
     Args:
         views: in time order; half of each one's events are held out to judge the result.
         plane: start, in the world.
-        px_per_unit: resolution of the map, cells per unit.
+        px_per_unit: the sensor's pixels per unit of a bearing.
         free: mask (6,) of rotation and position to refine.
         solve_normal: also refine the normal.
         held: how many of the first views keep their pose (at least 1, the gauge).
@@ -182,19 +185,44 @@ def _landmarks(shown: Shown, gate: float) -> tuple[Ridges, _Associated] | None:
     return ridges, seen
 
 
+def cells_per_unit(bearings: list[Array], Ts: Array, plane: Plane, focal_px: float) -> float:
+    """Return the resolution of a map on which a pixel of the sensor covers one cell (geometric mean over the events).
+
+    A plane that is steep to the views takes up more of the map than one that they face; with a fixed resolution it would
+    be judged by larger pixels.
+
+    Args:
+        bearings: of the views' events (N, 2) each.
+        Ts: poses (K, 4, 4) of the views.
+        plane: in the world.
+        focal_px: pixels of the sensor per unit of a bearing.
+    """
+    total, count = 0.0, 0
+    for b, T in zip(bearings, Ts, strict=True):
+        b = b[:: max(1, len(b) // _SCALE_EVENTS)]
+        seen = plane.seen_from(T)
+        # The plane's area by the bearings': d_c² / (-n_c . b)³.
+        slant = -(b @ seen.normal[:2] + seen.normal[2])
+        slant = slant[slant > _SLANT]
+        total += 2.0 * len(slant) * np.log(max(seen.distance, _SLANT)) - 3.0 * float(np.log(slant).sum())
+        count += len(slant)
+    return focal_px * float(np.exp(-0.5 * total / max(1, count)))
+
+
 def disagreement(
     bearings: list[Array], Ts: Array, plane: Plane, scale: float, faces: Sequence[Plane] = ()
 ) -> float:
     """Return how far (sensor px, RMS) the views disagree on where their shared edges lie.
 
-    A view that draws near to the plane becomes smaller on the map, and disagrees less there for that reason alone:
-    map px are taken back to the sensor's by the views' mean distance. Each view's mean distance to a landmark is
-    compared with the landmark's mean over all views; landmarks and views are those of a fixed gate, so that what is
-    judged does not depend on how it was found.
+    A view that draws near to the plane, or faces it squarely, becomes smaller on the map and disagrees less there for
+    that reason alone: the map is made with cells as large as the sensor's pixels are on it. Each view's mean distance
+    to a landmark is compared with the landmark's mean over all views; landmarks and views are those of a fixed gate, so
+    that what is judged does not depend on how it was found.
     """
     squares, weights = 0.0, 0.0
     for face in faces or (plane,):
-        found = _landmarks(_shown(bearings, Ts, face, scale, bool(faces)), c.REFINE_JUDGE_GATE_PX)
+        cells = scale if faces else cells_per_unit(bearings, Ts, face, scale)
+        found = _landmarks(_shown(bearings, Ts, face, cells, bool(faces)), c.REFINE_JUDGE_GATE_PX)
         if found is None:
             continue
         landmark, _, mean = found[1]
@@ -208,10 +236,7 @@ def disagreement(
         centre = np.bincount(landmark, weight * value) / np.maximum(total, 1e-9)
         squares += float((weight * (value - centre[landmark]) ** 2).sum())
         weights += float(weight.sum())
-    if weights <= 0:
-        return float("inf")
-    nearness = plane.distance / float(np.mean(plane.distance + Ts[:, :3, 3] @ plane.normal))
-    return float(np.sqrt(squares / weights)) * nearness
+    return float(np.sqrt(squares / weights)) if weights > 0 else float("inf")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
