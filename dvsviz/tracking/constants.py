@@ -117,7 +117,6 @@ REFINE_MIN_EVENTS: Final = 2
 REFINE_MAX_EVENTS: Final = 8
 # Standard deviations of the start that a refinement leaves only for good reason: pose (rad, plane distances) and normal
 # (rad). They decide where the texture does not: the first second hardly tells motion along x from rotation about y.
-# Over seven seeds low_texture is at 0.7 to 1.7 % with 0.1, at 1.0 to 3.2 with 0.05; 0.2 is no better.
 REFINE_PRIOR_POSE: Final = 0.1
 # Views from which on more do not hold the start more strongly. With 240 instead of 60 slider_close, whose straight way
 # hardly tells the normal, is at 0.6 instead of 0.8 %, and the first 17 s of low_texture at 1.0 instead of 0.7 %.

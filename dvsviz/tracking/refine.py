@@ -26,14 +26,12 @@ from dvsviz.geometry.plane import (
 from dvsviz.tracking import constants as c
 from dvsviz.tracking.edges import Ridges, Shown, associate, bounds, find_ridges, to_cells
 from dvsviz.tracking.normal_equations import landmark_jacobians, solve_views
+from dvsviz.tracking.sensor_distance import cells_per_unit, on_the_sensor
 from dvsviz.tracking.smooth_motion import SmoothMotion
 
 Array = NDArray[np.float64]
 # Landmark (M,), view (M,) and means (M, 4), as `associate` returns them.
 _Associated = tuple[NDArray[np.int64], NDArray[np.int64], Array]
-# Events of a view that tell how large its pixels are on the plane, and the least cosine and distance that count.
-_SCALE_EVENTS = 100
-_SLANT = 1e-3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -185,56 +183,30 @@ def _landmarks(shown: Shown, gate: float) -> tuple[Ridges, _Associated] | None:
     return ridges, seen
 
 
-def cells_per_unit(bearings: list[Array], Ts: Array, plane: Plane, focal_px: float) -> float:
-    """Return the resolution of a map on which a pixel of the sensor covers one cell (geometric mean over the events).
-
-    A plane that is steep to the views takes up more of the map than one that they face; with a fixed resolution it would
-    be judged by larger pixels.
-
-    Args:
-        bearings: of the views' events (N, 2) each.
-        Ts: poses (K, 4, 4) of the views.
-        plane: in the world.
-        focal_px: pixels of the sensor per unit of a bearing.
-    """
-    total, count = 0.0, 0
-    for b, T in zip(bearings, Ts, strict=True):
-        b = b[:: max(1, len(b) // _SCALE_EVENTS)]
-        seen = plane.seen_from(T)
-        # The plane's area by the bearings': d_c² / (-n_c . b)³.
-        slant = -(b @ seen.normal[:2] + seen.normal[2])
-        slant = slant[slant > _SLANT]
-        total += 2.0 * len(slant) * np.log(max(seen.distance, _SLANT)) - 3.0 * float(np.log(slant).sum())
-        count += len(slant)
-    return focal_px * float(np.exp(-0.5 * total / max(1, count)))
-
-
 def disagreement(
     bearings: list[Array], Ts: Array, plane: Plane, scale: float, faces: Sequence[Plane] = ()
 ) -> float:
     """Return how far (sensor px, RMS) the views disagree on where their shared edges lie.
 
     A view that draws near to the plane, or faces it squarely, becomes smaller on the map and disagrees less there for
-    that reason alone: the map is made with cells as large as the sensor's pixels are on it. Each view's mean distance
-    to a landmark is compared with the landmark's mean over all views; landmarks and views are those of a fixed gate, so
-    that what is judged does not depend on how it was found.
+    that reason alone: the map is made with cells as large as the sensor's pixels are on it, and distances are taken
+    back to the sensor. Each view's mean distance to a landmark is compared with the landmark's mean over all views;
+    landmarks and views are those of a fixed gate, so that what is judged does not depend on how it was found.
     """
     squares, weights = 0.0, 0.0
     for face in faces or (plane,):
         cells = scale if faces else cells_per_unit(bearings, Ts, face, scale)
-        found = _landmarks(_shown(bearings, Ts, face, cells, bool(faces)), c.REFINE_JUDGE_GATE_PX)
+        shown = _shown(bearings, Ts, face, cells, bool(faces))
+        found = _landmarks(shown, c.REFINE_JUDGE_GATE_PX)
         if found is None:
             continue
-        landmark, _, mean = found[1]
+        ridges, (landmark, row, mean) = found
         shared = np.bincount(landmark)[landmark] >= 2
-        landmark, weight, value = (
-            landmark[shared],
-            np.minimum(mean[shared, 0], c.REFINE_MAX_EVENTS),
-            mean[shared, 1],
-        )
-        total = np.bincount(landmark, weight)
-        centre = np.bincount(landmark, weight * value) / np.maximum(total, 1e-9)
-        squares += float((weight * (value - centre[landmark]) ** 2).sum())
+        landmark, row, mean = landmark[shared], row[shared], mean[shared]
+        weight, value = np.minimum(mean[:, 0], c.REFINE_MAX_EVENTS), mean[:, 1]
+        px_per_cell, _ = on_the_sensor(mean, shown.views[row], Ts, face, cells, ridges.normal[landmark], scale)
+        off_px = px_per_cell * (value - _centres(landmark, weight * px_per_cell**2, value)[landmark])
+        squares += float((weight * off_px**2).sum())
         weights += float(weight.sum())
     return float(np.sqrt(squares / weights)) if weights > 0 else float("inf")
 
@@ -259,8 +231,9 @@ class _Observations:
 
 
 def _observations(
-    bearings: list[Array], Ts: Array, plane: Plane, scale: float, gate: float, is_face: bool
+    bearings: list[Array], Ts: Array, plane: Plane, focal_px: float, gate: float, is_face: bool
 ) -> _Observations | None:
+    scale = focal_px if is_face else cells_per_unit(bearings, Ts, plane, focal_px)
     shown = _shown(bearings, Ts, plane, scale, is_face)
     found = _landmarks(shown, gate)
     if found is None:
@@ -282,11 +255,20 @@ def _observations(
         J,
     )
     weight, residual = np.minimum(mean[:, 0], c.REFINE_MAX_EVENTS), np.ascontiguousarray(mean[:, 1])
+    px_per_cell, d_log = on_the_sensor(mean, view, Ts, plane, scale, ridges.normal[landmark], focal_px)
     # Huber on the mean residual of a landmark in a view.
-    huber, off = 0.5 * gate, np.abs(residual)
-    weight *= np.where(off > huber, huber / np.maximum(off, 1e-9), 1.0)
+    huber, off = 0.5 * gate, np.abs(residual) * px_per_cell
+    weight *= np.where(off > huber, huber / np.maximum(off, 1e-9), 1.0) * px_per_cell**2
+    # What is brought down is the distance on the sensor. On the map all views together would draw near to the plane to
+    # make their distances smaller: poster textures were flown into by a quarter of their distance.
+    J -= (residual - _centres(landmark, weight, residual)[landmark])[:, None] * d_log
     first = np.searchsorted(landmark, np.arange(len(ridges.xy) + 1))
     return _Observations(first=first, view=view, weight=weight, residual=residual, J=J)
+
+
+def _centres(landmark: NDArray[np.int64], weight: Array, value: Array) -> Array:
+    """Return the weighted mean (L,) of the values (M,) of each landmark's observations."""
+    return np.bincount(landmark, weight * value) / np.maximum(np.bincount(landmark, weight), 1e-9)
 
 
 def _together(parts: list[_Observations]) -> _Observations:
