@@ -117,7 +117,9 @@ REFINE_MIN_EVENTS: Final = 2
 REFINE_MAX_EVENTS: Final = 8
 # Standard deviations of the start that a refinement leaves only for good reason: pose (rad, plane distances) and normal
 # (rad). They decide where the texture does not: the first second hardly tells motion along x from rotation about y.
-REFINE_PRIOR_POSE: Final = 0.1
+# A plane at 45 degrees is far from the start: with 0.1 the first view is torn from the others by 1 to 3 %, with 0.3 by
+# half of it, and 1 is no better.
+REFINE_PRIOR_POSE: Final = 0.3
 # Views from which on more do not hold the start more strongly. With 240 instead of 60 slider_close, whose straight way
 # hardly tells the normal, is at 0.6 instead of 0.8 %, and the first 17 s of low_texture at 1.0 instead of 0.7 %.
 REFINE_PRIOR_VIEWS: Final = 120
