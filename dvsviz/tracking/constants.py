@@ -179,6 +179,9 @@ RELOCALIZE_KEYFRAMES: Final = 40
 # Score a pose needs to be believed, relative to the median score while tracking well, and lead over the runner-up.
 RELOCALIZE_SCORE: Final = 0.75
 RELOCALIZE_LEAD: Final = 0.05
+# How many times nearer to the plane, or farther, than every keyframe a pose may be found: the search compares views of
+# one size, and what is found beyond lies on a few cells by chance.
+RELOCALIZE_NEARER: Final = 2.0
 # Keyframes, from the last one back, that a new view is compared with.
 KEYFRAME_COMPARE: Final = 40
 # Keyframes after which the map's texture is published anew between refinements.
