@@ -8,11 +8,13 @@ from dvsviz.geometry import se3
 from dvsviz.geometry.camera import Camera
 from dvsviz.geometry.plane import Plane, homography_map_camera
 from dvsviz.session.records import Status
-from dvsviz.tracking.align import align, free_parameters
+from dvsviz.tracking.align import Alignment, align, free_parameters
 from dvsviz.tracking.failures import FailureWatch
 from dvsviz.tracking.finder import PoseFinder
 from dvsviz.tracking.mapping import Mapper
+from dvsviz.tracking.planar_map import PlanarMap
 from dvsviz.tracking.pose_equations import to_ridge
+from dvsviz.tracking.relocalize import relocalize
 from dvsviz.tracking.state import Motion
 
 CAMERA = Camera(width=240, height=180, fx=200.0, fy=200.0, cx=119.5, cy=89.5)
@@ -127,3 +129,24 @@ def test_a_pose_astray_along_what_was_not_seen_is_found_again() -> None:
     right = finder._align(sampled, 0.0, np.eye(4), still, still, None)
     finder.motion.good_score = finder._agreed(right)
     assert finder._probe(sampled, 0.0, right, still, still) is None
+
+
+def test_the_way_back_is_not_looked_for_right_before_the_plane(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A few cells seen from close by fit whatever is laid on them."""
+    plane = Plane(normal=np.array([0.0, 0.0, -1.0]))
+    planar_map = PlanarMap(plane, 200.0, np.array([-0.6, -0.45]), (180, 240), freeze_px=np.inf)
+    rng = np.random.default_rng(0)
+    points = rng.uniform((-0.5, -0.4), (0.5, 0.4), (3000, 2)).astype(np.float32)
+    view = homography_map_camera(np.eye(4), plane)
+    planar_map.add(points, view, view, (180, 240), CAMERA.matrix)
+
+    def found_at(z: float) -> bool:
+        T = se3.pose(np.eye(3), np.array([0.0, 0.0, z]))
+        aligned = Alignment(
+            T_world_camera=T, value=1.0, inside=1.0, information=np.eye(6), iterations=1, step_px=0.0
+        )
+        monkeypatch.setattr("dvsviz.tracking.relocalize.align", lambda *_, **__: aligned)
+        keyframes = [np.eye(4), se3.pose(np.eye(3), np.array([0.1, 0.0, 0.2]))]
+        return relocalize(planar_map, CAMERA, points, keyframes, free=ALL) is not None
+
+    assert [found_at(z) for z in (-1.2, -0.8, 0.0, 0.5, 0.7, 0.975)] == [False, True, True, True, False, False]

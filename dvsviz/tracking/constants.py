@@ -58,6 +58,21 @@ LINE_YOUNG: Final = 0.2
 # A step below this image displacement, px, ends a level.
 ALIGN_STEP_PX: Final = 0.02
 
+# --- noise --------------------------------------------------------------------------------------------------
+# Events of the eight neighbours that an event needs, by those of its own pixel: edges have two to five times as many.
+NOISE_COMPANY: Final = 0.5
+# Correlation of neighbouring pixels' counts below which a window shows noise alone: at most 0.02 on noise of 0.3 to 5
+# events a pixel and second, hot pixels among them, and on a flash; at least 0.2 on shapes and photographs in it.
+NOISE_ALIKE: Final = 0.08
+# The same that the first window needs where noise came before it, as it holds all others, and windows after which it is
+# no longer waited for: 0.2 to 0.5 in noise of 5 events a pixel and second, at least 0.4 in that of 1.
+NOISE_START_ALIKE: Final = 0.4
+NOISE_START_WINDOWS: Final = 10
+# Image displacement in the longest window, as a share of the width, below which a camera that then shows noise alone
+# has come to rest: 6 px of 240 in 100 ms; 4 px are left where it brakes over half a second, 9 and more where a hand
+# covers the lens.
+NOISE_STILL: Final = 6.0 / 240
+
 # --- map ----------------------------------------------------------------------------------------------------
 # Saturation k of M = 1 - exp(-k rate / p90). 8 s of shapes, online error: 0.7 lost its hold (1.3 %), 1.0 0.42 %,
 # 1.4 0.52 %, 2 0.78 %, 4 1.5 %.
@@ -126,8 +141,9 @@ REFINE_MIN_EVENTS: Final = 2
 REFINE_MAX_EVENTS: Final = 8
 # Standard deviations of the start that a refinement leaves only for good reason: pose (rad, plane distances) and normal
 # (rad). They decide where the texture does not: the first second hardly tells motion along x from rotation about y.
-# Over seven seeds low_texture is at 0.7 to 1.7 % with 0.1, at 1.0 to 3.2 with 0.05; 0.2 is no better.
-REFINE_PRIOR_POSE: Final = 0.1
+# A plane at 45 degrees is far from the start: with 0.1 the first view is torn from the others by 1 to 3 %, with 0.3 by
+# half of it, and 1 is no better.
+REFINE_PRIOR_POSE: Final = 0.3
 # Views from which on more do not hold the start more strongly. With 240 instead of 60 slider_close, whose straight way
 # hardly tells the normal, is at 0.6 instead of 0.8 %, and the first 17 s of low_texture at 1.0 instead of 0.7 %.
 REFINE_PRIOR_VIEWS: Final = 120
@@ -151,6 +167,8 @@ REFINE_AT_ONCE: Final = 8
 # which moves the camera nearer to it each time); over 31 short stretches of nine recordings of the suite the median
 # error is 0.41 % and 0.17 degrees (1.00 and 0.44).
 SETTLE_ROUNDS: Final = 20
+# Standard deviation of the pull to the first pose meanwhile, rad and plane distances: with 0.03 the median is 1.3 %.
+SETTLE_PRIOR_POSE: Final = 0.1
 # Most windows in one refinement: keyframes, then others, evenly thinned beyond.
 REFINE_MAX_VIEWS: Final = 240
 # Of a live run, which shares its cores with server and page and waits for no refinement.
@@ -185,6 +203,9 @@ RELOCALIZE_KEYFRAMES: Final = 40
 # Score a pose needs to be believed, relative to the median score while tracking well, and lead over the runner-up.
 RELOCALIZE_SCORE: Final = 0.75
 RELOCALIZE_LEAD: Final = 0.05
+# How many times nearer to the plane, or farther, than every keyframe a pose may be found: the search compares views of
+# one size, and what is found beyond lies on a few cells by chance.
+RELOCALIZE_NEARER: Final = 2.0
 # Keyframes, from the last one back, that a new view is compared with.
 KEYFRAME_COMPARE: Final = 40
 # Keyframes after which the map's texture is published anew between refinements.

@@ -40,6 +40,9 @@ class Halves:
             return work(0, middle), second.result()
 
 
+ONE_CORE = Halves()
+
+
 def middle_of(first: NDArray[np.int64]) -> int:
     """Return the part before which about half of the items lie; part k has items `first[k]` to `first[k + 1]`."""
     return int(np.searchsorted(first, first[-1] // 2))

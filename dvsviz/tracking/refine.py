@@ -9,7 +9,7 @@ taken from neighbouring poses instead).
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +25,9 @@ from dvsviz.geometry.plane import (
 )
 from dvsviz.tracking import constants as c
 from dvsviz.tracking.edges import Ridges, Seen, Shown, ViewEvents, associate, find_ridges, show
-from dvsviz.tracking.halves import Halves
+from dvsviz.tracking.halves import ONE_CORE, Halves
 from dvsviz.tracking.normal_equations import landmark_jacobians, solve_views
+from dvsviz.tracking.sensor_distance import cells_per_unit, on_the_sensor
 from dvsviz.tracking.smooth_motion import SmoothMotion
 
 Array = NDArray[np.float64]
@@ -88,14 +89,14 @@ def refine(
     rounds_with_all: int = 0,
     is_anchored: bool = False,
     stop: Callable[[], bool] | None = None,
-    halves: Halves | None = None,
+    halves: Halves = ONE_CORE,
 ) -> Refinement:
     """Return the poses of the views and the plane that bring the views' edges together.
 
     Args:
         views: in time order; half of each one's events are held out to judge the result.
         plane: start, in the world.
-        px_per_unit: resolution of the map, cells per unit.
+        px_per_unit: the sensor's pixels per unit of a bearing.
         free: mask (6,) of rotation and position to refine.
         solve_normal: also refine the normal.
         held: how many of the first views keep their pose (at least 1, the gauge).
@@ -108,13 +109,13 @@ def refine(
         halves: on how many cores.
     """
     Ts = np.stack([v.T_world_camera for v in views])
-    halves = halves or Halves()
     train, test = (ViewEvents.of([v.bearings[k::2] for v in views]) for k in (0, 1))
     if is_anchored:
         train = ViewEvents.of([v.bearings for v in views])
     motion = SmoothMotion.between(np.array([v.t_s for v in views]), Ts)
-    held_to = np.tile(np.eye(4), (len(Ts), 1, 1)) if is_anchored else Ts
-    start = _Start(Ts_world_camera=held_to, plane=plane, motion=motion)
+    start = _Start(Ts_world_camera=Ts, deviation=c.REFINE_PRIOR_POSE, plane=plane, motion=motion)
+    if is_anchored:
+        start = replace(start, Ts_world_camera=np.tile(np.eye(4), (len(Ts), 1, 1)), deviation=c.SETTLE_PRIOR_POSE)
     before = disagreement(test, Ts, plane, px_per_unit, faces, halves)
     # The gate closes over the first rounds; the rest converge with it closed.
     gates = np.geomspace(c.REFINE_GATE_START_PX, c.REFINE_GATE_END_PX, 4)
@@ -179,36 +180,36 @@ def _landmarks(shown: Shown, gate: float, halves: Halves) -> tuple[Ridges, Seen]
 
 
 def disagreement(
-    events: ViewEvents, Ts: Array, plane: Plane, scale: float, faces: Sequence[Plane], halves: Halves
+    events: ViewEvents,
+    Ts: Array,
+    plane: Plane,
+    scale: float,
+    faces: Sequence[Plane] = (),
+    halves: Halves = ONE_CORE,
 ) -> float:
     """Return how far (sensor px, RMS) the views disagree on where their shared edges lie.
 
-    A view that draws near to the plane becomes smaller on the map, and disagrees less there for that reason alone:
-    map px are taken back to the sensor's by the views' mean distance. Each view's mean distance to a landmark is
-    compared with the landmark's mean over all views; landmarks and views are those of a fixed gate, so that what is
-    judged does not depend on how it was found.
+    A view that draws near to the plane, or faces it squarely, becomes smaller on the map and disagrees less there for
+    that reason alone: the map is made with cells as large as the sensor's pixels are on it, and distances are taken
+    back to the sensor. Each view's mean distance to a landmark is compared with the landmark's mean over all views;
+    landmarks and views are those of a fixed gate, so that what is judged does not depend on how it was found.
     """
     squares, weights = 0.0, 0.0
     for face in faces or (plane,):
-        shown = _shown(events, Ts, face, scale, bool(faces), halves)
+        cells = scale if faces else cells_per_unit(events, Ts, face, scale)
+        shown = _shown(events, Ts, face, cells, bool(faces), halves)
         found = _landmarks(shown, c.REFINE_JUDGE_GATE_PX, halves)
         if found is None:
             continue
-        landmark, mean = found[1].landmark, found[1].mean
-        shared = np.diff(found[1].first)[landmark] >= 2
-        landmark, weight, value = (
-            landmark[shared],
-            np.minimum(mean[shared, 0], c.REFINE_MAX_EVENTS),
-            mean[shared, 1],
-        )
-        total = np.bincount(landmark, weight)
-        centre = np.bincount(landmark, weight * value) / np.maximum(total, 1e-9)
-        squares += float((weight * (value - centre[landmark]) ** 2).sum())
+        ridges, seen = found
+        shared = np.diff(seen.first)[seen.landmark] >= 2
+        landmark, view, mean = seen.landmark[shared], shown.views[seen.view[shared]], seen.mean[shared]
+        weight, value = np.minimum(mean[:, 0], c.REFINE_MAX_EVENTS), mean[:, 1]
+        px_per_cell, _ = on_the_sensor(mean, view, Ts, face, cells, ridges.normal[landmark], scale)
+        off_px = px_per_cell * (value - _centres(landmark, weight * px_per_cell**2, value)[landmark])
+        squares += float((weight * off_px**2).sum())
         weights += float(weight.sum())
-    if weights <= 0:
-        return float("inf")
-    nearness = plane.distance / float(np.mean(plane.distance + Ts[:, :3, 3] @ plane.normal))
-    return float(np.sqrt(squares / weights)) * nearness
+    return float(np.sqrt(squares / weights)) if weights > 0 else float("inf")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -217,11 +218,13 @@ class _Start:
 
     Attributes:
         Ts_world_camera: poses (K, 4, 4).
+        deviation: how far from them, standard deviation, rad and plane distances.
         plane: and its normal.
         motion: how even the poses' motion is.
     """
 
     Ts_world_camera: Array
+    deviation: float
     plane: Plane
     motion: SmoothMotion
 
@@ -246,8 +249,9 @@ class _Observations:
 
 
 def _observations(
-    events: ViewEvents, Ts: Array, plane: Plane, scale: float, gate: float, is_face: bool, halves: Halves
+    events: ViewEvents, Ts: Array, plane: Plane, focal_px: float, gate: float, is_face: bool, halves: Halves
 ) -> _Observations | None:
+    scale = focal_px if is_face else cells_per_unit(events, Ts, plane, focal_px)
     shown = _shown(events, Ts, plane, scale, is_face, halves)
     found = _landmarks(shown, gate, halves)
     if found is None:
@@ -270,12 +274,21 @@ def _observations(
         J,
     )
     weight, residual = np.minimum(mean[:, 0], c.REFINE_MAX_EVENTS), np.ascontiguousarray(mean[:, 1])
+    px_per_cell, d_log = on_the_sensor(mean, view, Ts, plane, scale, ridges.normal[seen.landmark], focal_px)
     # Huber on the mean residual of a landmark in a view.
-    huber, off = 0.5 * gate, np.abs(residual)
-    weight *= np.where(off > huber, huber / np.maximum(off, 1e-9), 1.0)
+    huber, off = 0.5 * gate, np.abs(residual) * px_per_cell
+    weight *= np.where(off > huber, huber / np.maximum(off, 1e-9), 1.0) * px_per_cell**2
+    # What is brought down is the distance on the sensor. On the map all views together would draw near to the plane to
+    # make their distances smaller: poster textures were flown into by a quarter of their distance.
+    J -= (residual - _centres(seen.landmark, weight, residual)[seen.landmark])[:, None] * d_log
     return _Observations(
         first=seen.first, view=view, weight=weight.astype(np.float32), residual=residual.astype(np.float32), J=J
     )
+
+
+def _centres(landmark: NDArray[np.int64], weight: Array, value: Array) -> Array:
+    """Return the weighted mean (L,) of the values (M,) of each landmark's observations."""
+    return np.bincount(landmark, weight * value) / np.maximum(np.bincount(landmark, weight), 1e-9)
 
 
 def _together(parts: list[_Observations]) -> _Observations:
@@ -314,7 +327,7 @@ def _round(
     live[: 6 * held] = False
     # In units of an observation's variance.
     strength = c.REFINE_CORRELATED * c.REFINE_VARIANCE_PX2
-    prior = np.full(len(live), strength / c.REFINE_PRIOR_POSE**2 * min(1.0, c.REFINE_PRIOR_VIEWS / len(Ts)))
+    prior = np.full(len(live), strength / start.deviation**2 * min(1.0, c.REFINE_PRIOR_VIEWS / len(Ts)))
     prior[-2:] = strength / c.REFINE_PRIOR_NORMAL_RAD**2
     gradient = prior * _offset(start.Ts_world_camera, start.plane, Ts, plane)
     motion = start.motion

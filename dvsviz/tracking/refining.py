@@ -20,7 +20,7 @@ from dvsviz.geometry.camera import Camera
 from dvsviz.geometry.plane import Plane
 from dvsviz.tracking import constants as c
 from dvsviz.tracking.align import align_each
-from dvsviz.tracking.halves import Halves
+from dvsviz.tracking.halves import ONE_CORE, Halves
 from dvsviz.tracking.panorama import is_full, nearest, turned_away
 from dvsviz.tracking.planar_map import PlanarMap
 from dvsviz.tracking.refine import View, refine
@@ -211,7 +211,7 @@ class Refiner:
         plane: Plane,
         *,
         freeze_px: float = float("inf"),
-        halves: Halves | None = None,
+        halves: Halves = ONE_CORE,
     ) -> PlanarMap:
         """Return the map of all traces, frozen where it was seen well.
 
@@ -229,7 +229,7 @@ class Refiner:
             # What is written depends on what was written before.
             planar_map = self._written(traces, plane, freeze_px)
         else:
-            planar_map, other = (halves or Halves()).both(
+            planar_map, other = halves.both(
                 lambda start, end: self._written(traces[start:end], plane, freeze_px), len(traces) // 2, len(traces)
             )
             planar_map.take_in(other)

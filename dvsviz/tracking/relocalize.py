@@ -48,7 +48,7 @@ def relocalize(
     *,
     free: NDArray[np.bool_],
 ) -> Relocalization | None:
-    """Return the best pose for de-skewed events, or None where nothing was to be compared.
+    """Return the best pose for de-skewed events, or None where nothing was to be compared or found.
 
     Args:
         planar_map: the map.
@@ -62,6 +62,8 @@ def relocalize(
     candidates = _candidates(planar_map, camera, bearings, keyframes, turn=bool(free[2]), shift=bool(free[3]))
     t = np.linspace(0.0, 1e-6, len(bearings))
     wide = np.diag([0.15**-2] * 3 + [0.15**-2] * 3)
+    distances = [planar_map.plane.seen_from(T).distance for T in keyframes]
+    nearest, farthest = min(distances), max(distances)
     found: list[tuple[float, Array]] = []
     for T in candidates:
         aligned = align(
@@ -76,6 +78,9 @@ def relocalize(
             prior=wide,
             iterations=c.RELOCALIZE_ITERATIONS,
         )
+        distance = planar_map.plane.seen_from(aligned.T_world_camera).distance
+        if not nearest / c.RELOCALIZE_NEARER < distance < farthest * c.RELOCALIZE_NEARER:
+            continue
         measured = agreement(planar_map, aligned, camera)
         found.append((measured.score * min(1.0, aligned.inside), aligned.T_world_camera))
     if not found:
