@@ -35,7 +35,7 @@ def without_noise(window: EventWindow, width: int, height: int) -> tuple[EventWi
     """
     events = window.events
     keep = np.empty(len(window), dtype=np.int64)
-    kept, alike = find_company(events.x_px, events.y_px, width, height, np.float32(c.NOISE_COMPANY), keep)
+    kept, alike = find_company(events.x_px, events.y_px, width, height, c.NOISE_COMPANY, keep)
     if kept in (0, len(window)):
         return window, alike
     keep = keep[:kept]

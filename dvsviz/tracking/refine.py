@@ -27,7 +27,7 @@ from dvsviz.tracking import constants as c
 from dvsviz.tracking.edges import Ridges, Seen, Shown, ViewEvents, associate, find_ridges, show
 from dvsviz.tracking.halves import ONE_CORE, Halves
 from dvsviz.tracking.normal_equations import landmark_jacobians, solve_views
-from dvsviz.tracking.sensor_distance import cells_per_unit, on_the_sensor
+from dvsviz.tracking.sensor_distance import cells_per_unit, on_the_sensor, weigh
 from dvsviz.tracking.smooth_motion import SmoothMotion
 
 Array = NDArray[np.float64]
@@ -205,7 +205,7 @@ def disagreement(
         shared = np.diff(seen.first)[seen.landmark] >= 2
         landmark, view, mean = seen.landmark[shared], shown.views[seen.view[shared]], seen.mean[shared]
         weight, value = np.minimum(mean[:, 0], c.REFINE_MAX_EVENTS), mean[:, 1]
-        px_per_cell, _ = on_the_sensor(mean, view, Ts, face, cells, ridges.normal[landmark], scale)
+        px_per_cell, _ = on_the_sensor(mean, view, Ts, face, cells, ridges.normal[landmark], scale, halves)
         off_px = px_per_cell * (value - _centres(landmark, weight * px_per_cell**2, value)[landmark])
         squares += float((weight * off_px**2).sum())
         weights += float(weight.sum())
@@ -258,6 +258,7 @@ def _observations(
         return None
     ridges, seen = found
     view, mean = shown.views[seen.view], seen.mean
+    normals = ridges.normal[seen.landmark]
     # What is read in each iteration of the solver, in half the bytes.
     J = np.empty((len(view), 8), dtype=np.float32)
     landmark_jacobians(
@@ -269,18 +270,16 @@ def _observations(
         plane.distance,
         rotation_to_map(plane.normal),
         scale,
-        ridges.normal[seen.landmark],
+        normals,
         turn_normal_derivative(plane.normal, np.zeros(2)),
         J,
     )
     weight, residual = np.minimum(mean[:, 0], c.REFINE_MAX_EVENTS), np.ascontiguousarray(mean[:, 1])
-    px_per_cell, d_log = on_the_sensor(mean, view, Ts, plane, scale, ridges.normal[seen.landmark], focal_px)
-    # Huber on the mean residual of a landmark in a view.
-    huber, off = 0.5 * gate, np.abs(residual) * px_per_cell
-    weight *= np.where(off > huber, huber / np.maximum(off, 1e-9), 1.0) * px_per_cell**2
+    px_per_cell, d_log = on_the_sensor(mean, view, Ts, plane, scale, normals, focal_px, halves)
     # What is brought down is the distance on the sensor. On the map all views together would draw near to the plane to
-    # make their distances smaller: poster textures were flown into by a quarter of their distance.
-    J -= (residual - _centres(seen.landmark, weight, residual)[seen.landmark])[:, None] * d_log
+    # make their distances smaller: poster textures were flown into by a quarter of their distance. Huber on the mean
+    # residual of a landmark in a view.
+    weigh(seen.first, px_per_cell, d_log, 0.5 * gate, weight, residual, J)
     return _Observations(
         first=seen.first, view=view, weight=weight.astype(np.float32), residual=residual.astype(np.float32), J=J
     )

@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 
 from dvsviz.geometry.plane import Plane, rotation_to_map, turn_normal_derivative
 from dvsviz.tracking.edges import ViewEvents
+from dvsviz.tracking.halves import Halves
 
 Array = NDArray[np.float64]
 # Events of a view that tell how large its pixels are on the plane, and the least cosine and distance that count.
 _SCALE_EVENTS = 100
 _SLANT = 1e-3
+_JIT = {"cache": True, "nogil": True, "fastmath": {"contract", "arcp", "nsz", "reassoc"}}
 
 
 def cells_per_unit(events: ViewEvents, Ts: Array, plane: Plane, focal_px: float) -> float:
@@ -45,8 +47,15 @@ def cells_per_unit(events: ViewEvents, Ts: Array, plane: Plane, focal_px: float)
 
 
 def on_the_sensor(
-    mean: Array, view: NDArray[np.int64], Ts: Array, plane: Plane, scale: float, normals: Array, focal_px: float
-) -> tuple[Array, Array]:
+    mean: Array,
+    view: NDArray[np.int64],
+    Ts: Array,
+    plane: Plane,
+    scale: float,
+    normals: Array,
+    focal_px: float,
+    halves: Halves,
+) -> tuple[Array, NDArray[np.float32]]:
     """Return how many pixels of the sensor a cell is across its line where a view sees it (M,), and `d_log` (M, 8).
 
     Args:
@@ -57,31 +66,66 @@ def on_the_sensor(
         scale: cells per unit.
         normals: of the lines (M, 2).
         focal_px: pixels of the sensor per unit of a bearing.
+        halves: on how many cores.
     """
-    cells, d_log = np.empty(len(view)), np.empty((len(view), 8))
-    cells_per_bearing(
-        np.ascontiguousarray(mean[:, 2:]),
-        view,
-        np.ascontiguousarray(Ts[:, :3, :3]),
-        np.ascontiguousarray(Ts[:, :3, 3]),
-        plane.normal,
-        plane.distance,
-        rotation_to_map(plane.normal),
-        scale,
-        normals,
-        turn_normal_derivative(plane.normal, np.zeros(2)),
-        cells,
-        d_log,
-    )
+    cells, d_log = np.empty(len(view)), np.empty((len(view), 8), dtype=np.float32)
+    bearings, Rs, ts = (np.ascontiguousarray(part) for part in (mean[:, 2:], Ts[:, :3, :3], Ts[:, :3, 3]))
+    to_map, d_normal = rotation_to_map(plane.normal), turn_normal_derivative(plane.normal, np.zeros(2))
+
+    def work(start: int, end: int) -> None:
+        some = slice(start, end)
+        cells_per_bearing(
+            bearings[some],
+            view[some],
+            Rs,
+            ts,
+            plane.normal,
+            plane.distance,
+            to_map,
+            scale,
+            normals[some],
+            d_normal,
+            cells[some],
+            d_log[some],
+        )
+
+    halves.both(work, len(view) // 2, len(view))
     return focal_px / cells, d_log
 
 
 @numba.njit(cache=True, nogil=True)
+def weigh(first, px_per_cell, d_log, huber_px, weight, residual, J):
+    """Make the rows of distances on the map those of distances on the sensor, in place.
+
+    Args:
+        first: of each landmark its first row (L + 1,).
+        px_per_cell: of each row (M,).
+        d_log: derivative (M, 8) of the logarithm of its inverse.
+        huber_px: distance beyond which a row counts less.
+        weight: (M,), moved from cells to pixels.
+        residual: distance (M,), cells.
+        J: its derivative (M, 8); that of the scale, times what is left without the landmark's offset, is taken off.
+    """
+    for j in range(first.shape[0] - 1):
+        total = moment = 0.0
+        for i in range(first[j], first[j + 1]):
+            off_px = abs(residual[i]) * px_per_cell[i]
+            weight[i] *= min(1.0, huber_px / max(off_px, 1e-9)) * px_per_cell[i] ** 2
+            total += weight[i]
+            moment += weight[i] * residual[i]
+        centre = moment / max(total, 1e-9)
+        for i in range(first[j], first[j + 1]):
+            off = residual[i] - centre
+            for q in range(8):
+                J[i, q] -= off * d_log[i, q]
+
+
+@numba.njit(inline="always", **_JIT)
 def _dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@numba.njit(cache=True, nogil=True)
+@numba.njit(**_JIT)
 def cells_per_bearing(bearings, view, Rs, ts, n, d, R_map_world, scale, normals, d_normal, out, d_log):
     """Write by how many cells the distance to a line grows a unit of bearing across it (M,), and its log's derivative.
 
