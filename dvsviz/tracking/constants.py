@@ -272,7 +272,7 @@ RELIEF_LAG: Final = 12
 RELIEF_ROUNDS: Final = 3
 RELIEF_SLICES: Final = 5
 RELIEF_GATES_PX: Final = (6.0, 3.0, 2.0)
-RELIEF_ITERATIONS: Final = 2
+RELIEF_ITERATIONS: Final = 5
 RELIEF_REACH_PX: Final = 2.5
 RELIEF_STEEP: Final = 0.25
 RELIEF_ROBUST_PX: Final = 1.0
@@ -288,6 +288,13 @@ RELIEF_BORDER_PX: Final = 6.0
 RELIEF_TOLD_PX: Final = 2.0
 RELIEF_MISSED: Final = 5
 RELIEF_SEEN: Final = 3
+RELIEF_SWEEP_BLUR_PX: Final = 1.0
+RELIEF_SWEEP_CELLS: Final = 1.5
+RELIEF_SWEEP_LEAST: Final = 0.05
+RELIEF_SWEEP_RANGE: Final = 4.0
+RELIEF_SWEEP_STEPS: Final = 24
+RELIEF_SWEEP_WEIGHT: Final = 1.0
+RELIEF_AGAIN: Final = 2
 
 # A camera is placed by hand within so many plane distances of the first one.
 PLACE_MOST: Final = 1e3

@@ -29,6 +29,7 @@ from dvsviz.tracking.relief_kernels import (
     pose_equations,
     see,
 )
+from dvsviz.tracking.relief_sweep import image_flow, sweep
 
 Array = NDArray[np.float64]
 
@@ -94,10 +95,8 @@ class ReliefMap:
     def begin(self, sample: Sample, velocity: Array, log_inverse_depth: Array) -> None:
         """Make the first landmarks: the first view is the world's origin, inverse depths are those of a grid."""
         self.velocity = velocity.copy()
-        rows, cols = self.camera.height, self.camera.width
-        rho = cv2.resize(np.exp(log_inverse_depth), (cols, rows), interpolation=cv2.INTER_LINEAR)
         self._add_view(np.eye(4), sample, np.full(len(sample.t_s), -1, np.int32), np.zeros(len(sample.t_s)))
-        self._bear(sample, rho)
+        self._bear(sample, self.inverse_depths(np.eye(4), sample))
         self.windows = 1
 
     def follow(self, sample: Sample) -> Array:
@@ -108,10 +107,19 @@ class ReliefMap:
         T, owner, residual = self._align(sample, T_predicted, last.T_world_camera, dt)
         self._add_view(T, sample, owner, residual)
         self._adjust()
+        for _ in range(c.RELIEF_AGAIN):
+            # Landmarks moved: their events are others now.
+            self._learn_velocity()
+            T = self.views.pop().T_world_camera
+            self._associate(sample, T, c.RELIEF_GATES_PX[-1], owner, residual)
+            self._add_view(T, sample, owner, residual)
+            self._adjust()
+        self._fold()
         self._learn_velocity()
         T = self.views[-1].T_world_camera
+        self.counts[np.unique(owner[owner >= 0]), 0] += 1
         self._forget(sample, owner)
-        self._bear(sample, self.inverse_depths(T))
+        self._bear(sample, self.inverse_depths(T, sample))
         self.windows += 1
         return T
 
@@ -199,7 +207,6 @@ class ReliefMap:
                 weight=weight,
             )
         )
-        self.counts[lines, 0] += 1
 
     # --- the lag window ------------------------------------------------------------------------------------
 
@@ -223,6 +230,8 @@ class ReliefMap:
             self.camera.focal_px, rounds=c.RELIEF_ROUNDS, scale_px=c.RELIEF_ROBUST_PX,
         )  # fmt: skip
         self.views = [replace(v, T_world_camera=T) for v, T in zip(self.views, Ts, strict=True)]
+
+    def _fold(self) -> None:
         while len(self.views) > c.RELIEF_LAG:
             old = self.views.pop(0)
             _, told, known = adjust(
@@ -243,7 +252,7 @@ class ReliefMap:
 
     # --- landmarks -----------------------------------------------------------------------------------------
 
-    def inverse_depths(self, T: Array) -> Array:
+    def inverse_depths(self, T: Array, sample: Sample) -> Array:
         """Return the inverse depths (height, width) seen from a pose, from the landmarks in view."""
         seen = self._seen(T)
         K, rows, cols = self.camera.matrix, self.camera.height, self.camera.width
@@ -259,6 +268,13 @@ class ReliefMap:
         weight = told / (told + 1.0 / c.RELIEF_DEPTH_SHARE**2)
         total = np.bincount(cell, weight * rho, shape[0] * shape[1]).reshape(shape)
         known = np.bincount(cell, weight, shape[0] * shape[1]).reshape(shape)
+        middle = float(np.median(rho)) if len(rho) else 1.0
+        swept, clear = sweep(
+            sample.bearings, sample.t_s, sample.is_positive, self.camera, self.omega, self.velocity,
+            np.geomspace(middle / c.RELIEF_SWEEP_RANGE, middle * c.RELIEF_SWEEP_RANGE, c.RELIEF_SWEEP_STEPS),
+        )  # fmt: skip
+        total = total + c.RELIEF_SWEEP_WEIGHT * clear * swept
+        known = known + c.RELIEF_SWEEP_WEIGHT * clear
         mean = float(total.sum() / max(known.sum(), 1e-9)) if known.sum() > 0 else float(np.median(self.states[:, 1]))
         # From coarse to fine: where a finer neighbourhood knows little, the coarser one is taken.
         out = np.full(shape, mean)
@@ -332,7 +348,7 @@ class ReliefMap:
         self.prior_information = np.concatenate([self.prior_information, known])
         self.information = np.concatenate([self.information, known])
         self.counts = np.concatenate([self.counts, np.tile([1, 0], (count, 1))])
-        flow = _flow(xy, depth, self.omega, self.velocity)
+        flow = image_flow(xy, depth, self.omega, self.velocity)
         across = np.einsum("ij,ij->i", flow, normal)
         told = np.abs(across) > c.RELIEF_STEEP * np.linalg.norm(flow, axis=1)
         self.sides = np.concatenate([self.sides, np.where(told, np.sign(across) * new[:, 5], 0.0)])
@@ -385,17 +401,10 @@ class ReliefMap:
         self.views = kept
 
 
-def _flow(xy: Array, rho: Array, omega: Array, velocity: Array) -> Array:
-    """Return the image velocity (N, 2) of points at bearings (N, 2) with inverse depths (N,)."""
-    q = np.column_stack([xy, np.ones(len(xy))])
-    d = -(rho[:, None] * velocity + np.cross(omega, q))
-    return d[:, :2] - xy * d[:, 2:]
-
-
 def _deskewed(sample: Sample, rho: Array, omega: Array, velocity: Array) -> Array:
     """Return the bearings (N, 2) of events with inverse depths (N,) moved to the time of the pose."""
     b = np.asarray(sample.bearings, dtype=np.float64)
-    return b - _flow(b, rho, omega, velocity) * sample.t_s[:, None]
+    return b - image_flow(b, rho, omega, velocity) * sample.t_s[:, None]
 
 
 def _spaced(found: Array, shape: tuple[int, int]) -> NDArray[np.int64]:
