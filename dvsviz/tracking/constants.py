@@ -274,7 +274,9 @@ RELIEF_SLICES: Final = 5
 RELIEF_GATES_PX: Final = (6.0, 3.0, 2.0)
 RELIEF_ITERATIONS: Final = 5
 RELIEF_REACH_PX: Final = 2.5
-RELIEF_STEEP: Final = 0.25
+RELIEF_SIGNED_PX: Final = 1.5
+RELIEF_SPEEDS: Final = (1.0, 0.5, 0.0)
+RELIEF_LEAD: Final = 0.95
 RELIEF_ROBUST_PX: Final = 1.0
 RELIEF_MOST: Final = 8
 RELIEF_VARIANCE_PX2: Final = 1.0
@@ -294,7 +296,7 @@ RELIEF_SWEEP_LEAST: Final = 0.05
 RELIEF_SWEEP_RANGE: Final = 4.0
 RELIEF_SWEEP_STEPS: Final = 24
 RELIEF_SWEEP_WEIGHT: Final = 1.0
-RELIEF_AGAIN: Final = 2
+RELIEF_AGAIN: Final = 0
 
 # A camera is placed by hand within so many plane distances of the first one.
 PLACE_MOST: Final = 1e3

@@ -63,7 +63,7 @@ def see(rays, states, R, p, seen):
 
 
 @numba.njit(**_JIT)
-def associate(bearings, t_s, is_positive, bounds_s, seen, sides, K, size, gate_px, reach_px, steep, owner, residual):
+def associate(bearings, t_s, is_positive, bounds_s, seen, sides, K, size, gate_px, reach_px, told_px, owner, residual):
     """Write which landmark (N,) each event belongs to, -1 for none, and its distance from the line, px.
 
     The window is cut into slices, each with its own view of the landmarks, in which they move evenly.
@@ -79,7 +79,7 @@ def associate(bearings, t_s, is_positive, bounds_s, seen, sides, K, size, gate_p
         size: (width, height) of the image.
         gate_px: largest distance across the line.
         reach_px: largest distance along it.
-        steep: share of a landmark's motion across its line, above which its polarity is told.
+        told_px: a landmark's motion across its line within the window, px, above which its polarity is told.
         owner: written.
         residual: written; bearings less landmark, across the line.
     """
@@ -107,8 +107,7 @@ def associate(bearings, t_s, is_positive, bounds_s, seen, sides, K, size, gate_p
                 continue
             dx[i], dy[i] = (b[i, 0] - a[i, 0]) / length, (b[i, 1] - a[i, 1]) / length
             across = dx[i] * a[i, 2] + dy[i] * a[i, 3]
-            told = abs(across) > steep * np.sqrt(dx[i] * dx[i] + dy[i] * dy[i])
-            told &= abs(across) * focal * whole > 1.5
+            told = abs(across) * focal * whole > told_px
             sign[i] = (sides[i] if across > 0 else -sides[i]) if told else 0.0
             following[i] = head[row, col]
             head[row, col] = i

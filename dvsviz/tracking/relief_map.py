@@ -103,7 +103,7 @@ class ReliefMap:
         """Return the pose (4, 4) of the next window, and take it into the map."""
         last = self.views[-1]
         dt = (sample.mid_us - last.mid_us) * 1e-6
-        T_predicted = se3.propagate(last.T_world_camera, self.omega, self.velocity, min(dt, c.RELIEF_GAP_S))
+        T_predicted = self._predict(sample, last.T_world_camera, min(dt, c.RELIEF_GAP_S))
         T, owner, residual = self._align(sample, T_predicted, last.T_world_camera, dt)
         self._add_view(T, sample, owner, residual)
         self._adjust()
@@ -121,6 +121,25 @@ class ReliefMap:
         self._forget(sample, owner)
         self._bear(sample, self.inverse_depths(T, sample))
         self.windows += 1
+        return T
+
+    def _predict(self, sample: Sample, T_last: Array, dt: float) -> Array:
+        """Return the pose (4, 4) to start from: the camera goes on as it did, at half the speed, or stopped.
+
+        A window lasts longer where fewer events come, which is what happens when a camera slows down.
+        """
+        omega, velocity = self.omega, self.velocity
+        owner, residual = np.full(len(sample.t_s), -1, np.int32), np.zeros(len(sample.t_s))
+        best, gate = (np.inf, np.eye(4), omega, velocity), c.RELIEF_GATES_PX[1]
+        for share in c.RELIEF_SPEEDS:
+            self.omega, self.velocity = share * omega, share * velocity
+            T = se3.propagate(T_last, self.omega, self.velocity, dt)
+            self._associate(sample, T, gate, owner, residual, told_px=np.inf)
+            off = np.where(owner >= 0, np.minimum(np.abs(residual), gate), gate)
+            cost = float((off * off).mean())
+            if cost < c.RELIEF_LEAD * best[0]:
+                best = (cost, T, self.omega, self.velocity)
+        _, T, self.omega, self.velocity = best
         return T
 
     def _align(
@@ -162,7 +181,13 @@ class ReliefMap:
         return T, owner, residual
 
     def _associate(
-        self, sample: Sample, T: Array, gate_px: float, owner: NDArray[np.int32], residual: Array
+        self,
+        sample: Sample,
+        T: Array,
+        gate_px: float,
+        owner: NDArray[np.int32],
+        residual: Array,
+        told_px: float = c.RELIEF_SIGNED_PX,
     ) -> Array:
         """Write which landmark each event belongs to; return how they are seen (L, 5) at the pose."""
         bounds = np.linspace(sample.t_s[0], sample.t_s[-1] + 1e-6, c.RELIEF_SLICES + 1)
@@ -172,7 +197,7 @@ class ReliefMap:
             see(self.rays, self.states, np.ascontiguousarray(at[:3, :3]), at[:3, 3].copy(), seen[k])
         associate(
             sample.bearings, sample.t_s, sample.is_positive, bounds, seen, self.sides, self.camera.matrix,
-            np.array([self.camera.width, self.camera.height]), gate_px, c.RELIEF_REACH_PX, c.RELIEF_STEEP, owner,
+            np.array([self.camera.width, self.camera.height]), gate_px, c.RELIEF_REACH_PX, told_px, owner,
             residual,
         )  # fmt: skip
         return self._seen(T)
@@ -310,7 +335,7 @@ class ReliefMap:
             if len(found) == 0:
                 continue
             taken = np.zeros((rows, cols), dtype=np.uint8)
-            told = 2 * focal * np.abs(flow) > 1.5
+            told = 2 * focal * np.abs(flow) > c.RELIEF_SIGNED_PX
             near = (seen[:, 4] > 0) & (~told | (self.sides * np.sign(flow) * polarity >= 0))
             u = np.rint(seen[near, 0] * K[0, 0] + K[0, 2]).astype(np.int64)
             v = np.rint(seen[near, 1] * K[1, 1] + K[1, 2]).astype(np.int64)
@@ -350,7 +375,7 @@ class ReliefMap:
         self.counts = np.concatenate([self.counts, np.tile([1, 0], (count, 1))])
         flow = image_flow(xy, depth, self.omega, self.velocity)
         across = np.einsum("ij,ij->i", flow, normal)
-        told = np.abs(across) > c.RELIEF_STEEP * np.linalg.norm(flow, axis=1)
+        told = focal * np.abs(across) * sample.duration_s > c.RELIEF_SIGNED_PX
         self.sides = np.concatenate([self.sides, np.where(told, np.sign(across) * new[:, 5], 0.0)])
         self.views[-1] = replace(
             view,
