@@ -267,36 +267,40 @@ RELIEF_DISPLACEMENT_PX: Final = 5.0
 # Contrast by contrast without motion below which a window says nothing.
 RELIEF_GAIN: Final = 1.03
 
-# The relief map.
-RELIEF_LAG: Final = 12
-RELIEF_ROUNDS: Final = 3
+# --- relief map ---------------------------------------------------------------------------------------------
+RELIEF_MAP_EVENTS: Final = 8_000
+RELIEF_ALIGN_EVENTS: Final = 4_000
 RELIEF_SLICES: Final = 5
 RELIEF_GATES_PX: Final = (6.0, 3.0, 2.0)
-RELIEF_ITERATIONS: Final = 5
 RELIEF_REACH_PX: Final = 2.5
-RELIEF_SIGNED_PX: Final = 1.5
+RELIEF_ITERATIONS: Final = 5
+RELIEF_STEP_PX: Final = 0.02
 RELIEF_SPEEDS: Final = (1.0, 0.5, 0.0)
 RELIEF_LEAD: Final = 0.95
+RELIEF_SIGNED_PX: Final = 1.5
 RELIEF_ROBUST_PX: Final = 1.0
-RELIEF_MOST: Final = 8
 RELIEF_VARIANCE_PX2: Final = 1.0
+RELIEF_MOST_EVENTS: Final = 8
+RELIEF_FRESH_EVENTS: Final = 4
 RELIEF_PREDICTED_PX: Final = 1.0
 RELIEF_PREDICTED_SHARE: Final = 0.3
+RELIEF_LAG: Final = 12
+RELIEF_ROUNDS: Final = 3
 RELIEF_CELL_PX: Final = 6
-RELIEF_DEPTH_SHARE: Final = 0.5
-RELIEF_OFFSET_PX: Final = 5.0
 RELIEF_SPACING_PX: Final = 3
-RELIEF_BORDER_PX: Final = 6.0
-RELIEF_TOLD_PX: Final = 2.0
-RELIEF_MISSED: Final = 5
-RELIEF_SEEN: Final = 3
+RELIEF_OFFSET_PX: Final = 5.0
+RELIEF_DEPTH_SHARE: Final = 0.5
 RELIEF_SWEEP_BLUR_PX: Final = 1.0
 RELIEF_SWEEP_CELLS: Final = 1.5
 RELIEF_SWEEP_LEAST: Final = 0.05
 RELIEF_SWEEP_RANGE: Final = 4.0
 RELIEF_SWEEP_STEPS: Final = 24
-RELIEF_SWEEP_WEIGHT: Final = 1.0
-RELIEF_AGAIN: Final = 0
+RELIEF_NEAR_PX: Final = 20.0
+RELIEF_BORDER_PX: Final = 6.0
+RELIEF_TOLD_PX: Final = 2.0
+RELIEF_MISSED: Final = 5
+RELIEF_MISSED_FRESH: Final = 2
+RELIEF_SEEN: Final = 3
 
 # A camera is placed by hand within so many plane distances of the first one.
 PLACE_MOST: Final = 1e3

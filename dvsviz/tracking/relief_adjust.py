@@ -46,7 +46,6 @@ def adjust(
     held: NDArray[np.bool_],
     free: NDArray[np.bool_],
     sightings: Sightings,
-    tied: tuple[Array, Array],
     focal_px: float,
     *,
     rounds: int,
@@ -63,7 +62,6 @@ def adjust(
         held: views (V,) whose pose is not moved.
         free: mask (6,) of rotation and position to solve for.
         sightings: in any order.
-        tied: information (6 V, 6 V) on all poses' steps by their motion, and its right side (6 V,) at the start.
         focal_px: focal length.
         rounds: of Gauss-Newton.
         scale_px: of the robust (Cauchy) weight.
@@ -74,26 +72,28 @@ def adjust(
     seen = np.unique(landmark)
     first = np.append(np.searchsorted(landmark, seen), len(landmark)).astype(np.int64)
     Ts, states, count = Ts_world_camera.copy(), states.copy(), len(Ts_world_camera)
-    unknown = np.flatnonzero(np.outer(~held, free).ravel())
+    axes = np.flatnonzero(free)
+    size = len(axes)
+    unknown = np.flatnonzero(np.repeat(~held, size))
     information = prior_information.copy()
-    moved = np.zeros(6 * count)
     for _ in range(rounds):
-        S, g = tied[0].copy(), tied[1] - tied[0] @ moved
-        J, Js = np.empty((len(landmark), 6)), np.empty((len(landmark), 2))
+        S, g = np.zeros((size * count, size * count)), np.zeros(size * count)
+        J, Js = np.empty((len(landmark), size)), np.empty((len(landmark), 2))
         w, own = np.empty(len(landmark)), np.empty((len(seen), 2))
         _equations(
             rays, states, prior_states, prior_information, np.ascontiguousarray(Ts[:, :3, :3]),
-            np.ascontiguousarray(Ts[:, :3, 3]), focal_px, scale_px, seen, first, view, normal, place, weight,
+            np.ascontiguousarray(Ts[:, :3, 3]), focal_px, scale_px, axes, seen, first, view, normal, place, weight,
             J, Js, w, own, information, S, g,
         )  # fmt: skip
-        step = np.zeros(6 * count)
+        step = np.zeros(size * count)
         if len(unknown):
             A = S[np.ix_(unknown, unknown)]
-            A[np.diag_indices_from(A)] *= 1.0 + 1e-6
-            step[unknown] = np.linalg.solve(A + 1e-6 * np.eye(len(A)), g[unknown])
-        moved += step
-        by_view = step.reshape(count, 6)
-        _states_follow(seen, first, view, J, Js, w, own, information, by_view, states)
+            # A view that sees nothing stays where it is.
+            A[np.diag_indices_from(A)] += 1e-6 * (1.0 + A[np.diag_indices_from(A)])
+            step[unknown] = np.linalg.solve(A, g[unknown])
+        _states_follow(seen, first, view, J, Js, w, own, information, step.reshape(count, size), states)
+        by_view = np.zeros((count, 6))
+        by_view[:, axes] = step.reshape(count, size)
         Ts[:, :3, :3] = Ts[:, :3, :3] @ se3.exp_so3(by_view[:, :3])
         Ts[:, :3, 3] += by_view[:, 3:]
     return Ts, states, information
@@ -101,11 +101,12 @@ def adjust(
 
 @numba.njit(cache=True, nogil=True)
 def _equations(
-    rays, states, prior, known, Rs, ps, focal, scale, seen, first, view, normal, place, weight,
+    rays, states, prior, known, Rs, ps, focal, scale, axes, seen, first, view, normal, place, weight,
     J, Js, w, own, information, S, g,
 ):  # fmt: skip
     """Write derivatives, weights and the landmarks' own right sides; add the poses' reduced equations."""
-    reduced = np.empty((2, 6))
+    size = axes.shape[0]
+    reduced, all_six = np.empty((2, size)), np.empty(6)
     for s in range(seen.shape[0]):
         i = seen[s]
         a, b, d = known[i, 0, 0], known[i, 0, 1], known[i, 1, 1]
@@ -114,18 +115,20 @@ def _equations(
         for m in range(first[s], first[s + 1]):
             v = view[m]
             e = place[m] - derivatives(
-                rays[i], states[i, 0], states[i, 1], Rs[v], ps[v], normal[m], focal, J[m], Js[m]
+                rays[i], states[i, 0], states[i, 1], Rs[v], ps[v], normal[m], focal, all_six, Js[m]
             )
+            for k in range(size):
+                J[m, k] = all_six[axes[k]]
             w[m] = weight[m] / (1.0 + e * e / (scale * scale))
             a += w[m] * Js[m, 0] * Js[m, 0]
             b += w[m] * Js[m, 0] * Js[m, 1]
             d += w[m] * Js[m, 1] * Js[m, 1]
             r0 += w[m] * e * Js[m, 0]
             r1 += w[m] * e * Js[m, 1]
-            for k in range(6):
-                g[6 * v + k] += w[m] * e * J[m, k]
-                for j in range(6):
-                    S[6 * v + k, 6 * v + j] += w[m] * J[m, k] * J[m, j]
+            for k in range(size):
+                g[size * v + k] += w[m] * e * J[m, k]
+                for j in range(size):
+                    S[size * v + k, size * v + j] += w[m] * J[m, k] * J[m, j]
         information[i, 0, 0], information[i, 0, 1], information[i, 1, 0], information[i, 1, 1] = a, b, b, d
         own[s, 0], own[s, 1] = r0, r1
         det = a * d - b * b
@@ -135,26 +138,27 @@ def _equations(
             # (landmark's information)^-1 times its coupling with this sighting's pose.
             c0 = (d * Js[m, 0] - b * Js[m, 1]) / det
             c1 = (a * Js[m, 1] - b * Js[m, 0]) / det
-            for k in range(6):
+            for k in range(size):
                 reduced[0, k], reduced[1, k] = w[m] * J[m, k] * c0, w[m] * J[m, k] * c1
-                g[6 * view[m] + k] -= reduced[0, k] * r0 + reduced[1, k] * r1
+                g[size * view[m] + k] -= reduced[0, k] * r0 + reduced[1, k] * r1
             for n in range(first[s], first[s + 1]):
                 q0, q1 = w[n] * Js[n, 0], w[n] * Js[n, 1]
-                for k in range(6):
+                for k in range(size):
                     x = reduced[0, k] * q0 + reduced[1, k] * q1
-                    for j in range(6):
-                        S[6 * view[m] + k, 6 * view[n] + j] -= x * J[n, j]
+                    for j in range(size):
+                        S[size * view[m] + k, size * view[n] + j] -= x * J[n, j]
 
 
 @numba.njit(cache=True, nogil=True)
 def _states_follow(seen, first, view, J, Js, w, own, information, by_view, states):
-    """Move the landmarks by their own right sides and by the poses' steps."""
+    """Move the landmarks by their own right sides and by the poses' steps (V, size)."""
+    size = by_view.shape[1]
     for s in range(seen.shape[0]):
         i = seen[s]
         r0, r1 = own[s, 0], own[s, 1]
         for m in range(first[s], first[s + 1]):
             along = 0.0
-            for k in range(6):
+            for k in range(size):
                 along += J[m, k] * by_view[view[m], k]
             r0 -= w[m] * along * Js[m, 0]
             r1 -= w[m] * along * Js[m, 1]

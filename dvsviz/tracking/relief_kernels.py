@@ -136,15 +136,13 @@ def associate(bearings, t_s, is_positive, bounds_s, seen, sides, K, size, gate_p
 
 
 @numba.njit(**_JIT)
-def by_landmark(owner, residual, t_s, count, total, squares, when):
-    """Add up events (N,) by their landmarks (L,): number, sum and squares of the residuals, and times."""
+def by_landmark(owner, residual, count, total):
+    """Add up events (N,) by their landmarks (L,): their number, and their residuals."""
     for k in range(owner.shape[0]):
         i = owner[k]
         if i >= 0:
             count[i] += 1
             total[i] += residual[k]
-            squares[i] += residual[k] * residual[k]
-            when[i] += t_s[k]
 
 
 @numba.njit(**_JIT)
