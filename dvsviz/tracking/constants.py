@@ -301,6 +301,8 @@ RELIEF_TOLD_PX: Final = 2.0
 RELIEF_MISSED: Final = 5
 RELIEF_MISSED_FRESH: Final = 2
 RELIEF_SEEN: Final = 3
+RELIEF_MOVED_PX: Final = 2.5
+RELIEF_STILL_PX: Final = 1.0
 
 # A camera is placed by hand within so many plane distances of the first one.
 PLACE_MOST: Final = 1e3

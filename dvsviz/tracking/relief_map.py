@@ -55,7 +55,8 @@ class ReliefMap:
         free: mask (6,) of rotation and position.
 
     Attributes:
-        landmarks: all that are remembered.
+        landmarks: all that are remembered, in the frame of the map: that of its first view.
+        T_world_map: pose (4, 4) of that frame.
         views: of the lag window, the last one last.
         moving: pose and velocities of the last window; unit: the middle distance of what the first one saw.
         windows: seen so far.
@@ -67,6 +68,7 @@ class ReliefMap:
     def __init__(self, camera: Camera, free: NDArray[np.bool_]) -> None:
         self.camera, self.free = camera, free
         self.landmarks = Landmarks.none()
+        self.T_world_map: Array = np.eye(4)
         self.views: list[ReliefView] = []
         self.moving = Moving(T_world_camera=np.eye(4), omega=np.zeros(3), velocity=np.zeros(3))
         self.windows = 0
@@ -225,6 +227,7 @@ class ReliefMap:
         """Return the state as arrays that `unpack` reads."""
         seen = _sightings(self.views)
         return self.landmarks.pack() | {
+            "relief_map_origin": self.T_world_map,
             "relief_map_views": np.stack([v.T_world_camera for v in self.views]),
             "relief_map_times": np.array([v.mid_us for v in self.views], dtype=np.int64),
             "relief_map_moving": self.moving.T_world_camera,
@@ -237,6 +240,7 @@ class ReliefMap:
     def unpack(self, state: Mapping[str, np.ndarray]) -> None:
         """Take over a packed state."""
         self.landmarks = Landmarks.unpack(state)
+        self.T_world_map = np.array(state["relief_map_origin"])
         omega, velocity = np.array(state["relief_map_velocities"])
         self.moving = Moving(
             T_world_camera=np.array(state["relief_map_moving"]), omega=omega, velocity=velocity

@@ -99,13 +99,8 @@ class Tracker:
         clock = time.perf_counter()
         sampled = sample_window(window, c.TRACE_EVENTS, self.config.seed)
         mid_us = window.start_us + (window.end_us - window.start_us) // 2
-        note, was = "", self._motion.status
-        if self._relief is not None and (self._asks_relief or self._drifts):
-            note = self._relief.look(window)
-            if self._relief.not_a_plane and not self._is_uneven:
-                note = ""
-            if note and self._drifts:
-                self._mapper.tell_refined(self._relief.poses)
+        was = self._motion.status
+        note = self._look_for_depth(window)
         relief = self._relief if self._drifts else None
         if relief is not None:
             trace, alignment = self._finder.drift(relief, window, sampled, mid_us), None
@@ -127,7 +122,7 @@ class Tracker:
                 trace,
                 alignment,
                 images,
-                None if relief is None else relief.gain,
+                None if relief is None else relief.is_sharp,
             )
             doubted = self._finder.learn_bias(trace, was)
             if doubted:
@@ -174,7 +169,8 @@ class Tracker:
             wanted_px = c.WINDOW_DISPLACEMENT * self.camera.width
             if relief is not None or (self.config.motion != "planar" and self._is_undecided):
                 wanted_px = c.RELIEF_DISPLACEMENT_PX
-            self._motion.resize(images.displacement_px, wanted_px * self.stretch, self._most_events)
+            moved_px = images.displacement_px if relief is None else relief.live_map.displacement_px
+            self._motion.resize(moved_px, wanted_px * self.stretch, self._most_events)
         else:
             # What was believed of the motion before the loss made the windows too small to be found by.
             self._motion.size = max(self._motion.size, float(c.WINDOW_EVENTS_START))
@@ -215,8 +211,30 @@ class Tracker:
         failed = self._failures.finish()
         if failed is not None:
             self._mapper.tell(failed)
+        if self._relief is not None and self._drifts:
+            self._mapper.tell_refined(self._relief.poses())
         self._mapper.finish(refine=not self._drifts)
         return self._mapper.take_updates()
+
+    def _look_for_depth(self, window: EventWindow) -> str:
+        """Ask a window whether the scene is a plane, or track it by the relief map; return what was decided, or ""."""
+        relief = self._relief
+        if relief is None:
+            return ""
+        if relief.map is not None:
+            relief.follow(window)
+            return ""
+        if not self._asks_relief:
+            return ""
+        note = relief.look(window)
+        if not relief.not_a_plane:
+            return note
+        if not self._is_uneven:
+            return ""
+        if self.config.motion in ("translation", "auto"):
+            relief.begin(np.eye(4))
+            self._mapper.tell_refined(relief.poses())
+        return note
 
     @property
     def _asks_relief(self) -> bool:
@@ -230,7 +248,7 @@ class Tracker:
     @property
     def _drifts(self) -> bool:
         """True where the scene was found to be no plane: poses are odometry, without a map to come back to."""
-        return self._is_uneven and self.config.motion in ("translation", "auto")
+        return self._relief is not None and self._relief.map is not None
 
     @property
     def _is_undecided(self) -> bool:
@@ -306,5 +324,5 @@ class Tracker:
         tracker._finder.motion = tracker._motion
         # A branch may go on as another motion than the one that was stored.
         if tracker._relief is not None and "relief" in state:
-            tracker._relief.unpack(state)
+            tracker._relief.unpack(state, camera, source)
         return tracker
