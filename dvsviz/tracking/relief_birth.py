@@ -87,7 +87,7 @@ def new_landmarks(
         taken = np.zeros(shape, dtype=np.uint8)
         near = inside & (signs * polarity >= 0)
         taken[uv[near, 1], uv[near, 0]] = 1
-        taken = cv2.dilate(taken, np.ones((c.RELIEF_SPACING_PX, c.RELIEF_SPACING_PX), np.uint8))
+        taken = cv2.dilate(taken, np.ones((c.RELIEF_CLEAR_PX, c.RELIEF_CLEAR_PX), np.uint8))
         found = found[taken[found[:, 1].astype(np.int64), found[:, 0].astype(np.int64)] == 0]
         found = found[_spaced(found, shape)]
         made.append(np.column_stack([found, np.full(len(found), polarity)]))

@@ -159,7 +159,7 @@ class ReliefOdometry:
         """
         first = next((k for k, a in enumerate(self.asked) if k and a.moved_px >= c.RELIEF_MOVED_PX), 0)
         self.map, self.path = ReliefMap(self.camera, _FREE), []
-        self.map.begin(self.asked[first].sample, self.asked[first].velocity)
+        self.map.begin(self.asked[first].sample, self._first_velocity(first))
         T_odometry_world = T_world_first @ se3.inverse(self.asked[0].T_world_camera)
         self.map.T_world_map = T_odometry_world @ self.asked[first].T_world_camera
         for a in self.asked[: first + 1]:
@@ -169,6 +169,21 @@ class ReliefOdometry:
         for a in self.asked[first + 1 :]:
             self._advance(a.window, a.sample)
         self.asked = []
+
+    def _first_velocity(self, first: int) -> Array:
+        """Return the velocity (3,) of a window, as the windows after it know it: its own says little of the depths."""
+        velocity = self.asked[first].velocity
+        for _ in range(c.RELIEF_STARTS):
+            trial = ReliefMap(self.camera, _FREE)
+            trial.begin(self.asked[first].sample, velocity)
+            for a in self.asked[first + 1 : first + c.RELIEF_LAG]:
+                trial.follow(a.sample)
+            if len(trial.views) < 3:
+                break
+            a, b = trial.views[0], trial.views[2]
+            dt = (b.mid_us - a.mid_us) * 1e-6
+            velocity = (b.T_world_camera[:3, 3] - a.T_world_camera[:3, 3]) / max(dt, 1e-6)
+        return velocity
 
     def follow(self, window: EventWindow) -> None:
         """Track a window by the relief map."""
