@@ -110,6 +110,19 @@ class ReliefMap:
         self.windows += 1
         return T
 
+    def in_view(self) -> tuple[Landmarks, Array]:
+        """Return the landmarks in the last view, and how it sees them (L, 5)."""
+        near = self.landmarks.take(self._near(self.moving))
+        return near, near.seen_from(self.moving.T_world_camera)
+
+    def mean_velocity(self) -> Array:
+        """Return the mean velocity (3,) over the lag window in the axes of the last view; 0 of one view."""
+        a, b = self.views[0], self.views[-1]
+        if b.mid_us <= a.mid_us:
+            return np.zeros(3)
+        moved = b.T_world_camera[:3, 3] - a.T_world_camera[:3, 3]
+        return b.T_world_camera[:3, :3].T @ moved / ((b.mid_us - a.mid_us) * 1e-6)
+
     # --- the lag window ------------------------------------------------------------------------------------
 
     def _view(self, owned: Owned, sample: Sample, landmarks: Landmarks) -> ReliefView:

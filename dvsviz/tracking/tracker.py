@@ -25,7 +25,7 @@ from dvsviz.events.recording import EventSource, Imu
 from dvsviz.events.windows import EventWindow
 from dvsviz.geometry import se3
 from dvsviz.geometry.camera import Camera
-from dvsviz.session.records import Status, TrackerUpdates, WindowResult
+from dvsviz.session.records import Cause, Failure, Status, TrackerUpdates, WindowResult
 from dvsviz.tracking import constants as c
 from dvsviz.tracking import diagnose
 from dvsviz.tracking.align import free_parameters
@@ -224,17 +224,44 @@ class Tracker:
         if relief.map is not None:
             relief.follow(window)
             return ""
-        if not self._asks_relief:
+        if self._asks_relief:
+            note = relief.look(window)
+        elif relief.not_a_plane and relief.asked:
+            # Before a plane's map is found not to fit.
+            relief.keep(window, 0.0)
+            note = f"the scene is not a plane: {relief.percent}"
+        else:
             return ""
-        note = relief.look(window)
-        if not relief.not_a_plane:
+        if relief.not_a_plane is None:
+            return ""
+        straight = self.config.motion == "translation"
+        if straight or (relief.not_a_plane and self._is_uneven):
+            return self._begin_relief(relief, window, note, straight=straight)
+        if not relief.not_a_plane or len(relief.asked) > c.RELIEF_PATIENCE:
+            relief.asked = []
+        return "" if relief.not_a_plane else note
+
+    def _begin_relief(self, relief: ReliefOdometry, window: EventWindow, note: str, *, straight: bool) -> str:
+        """Go on by a relief map where its landmarks, too, lie on no plane; return what is to be said."""
+        planar = self.config.motion == "planar"
+        least = c.RELIEF_OFF_PLANE_STRAIGHT if straight else c.RELIEF_OFF_PLANE
+        first = relief.asked[0].window
+        T = next((t.T_world_camera for t in self._mapper.traces if t.window == first and first > 0), np.eye(4))
+        if (planar and self.config.mode != "map") or not relief.begin(T, may_turn=not straight, least=least):
+            relief.asked = []
+            if planar or not relief.not_a_plane:
+                return note
+            relief.not_a_plane = False
+            return f"the scene is a plane: {relief.percent}"
+        self._mapper.tell_refined(relief.poses())
+        note = f"the scene is not a plane: {relief.percent}"
+        if not planar:
             return note
-        if not self._is_uneven:
-            return ""
-        if self.config.motion in ("translation", "auto"):
-            relief.begin(np.eye(4))
-            self._mapper.tell_refined(relief.poses())
-        return note
+        text = f"{note}; tracked on a relief from here on, as a camera that does not turn"
+        self._mapper.tell(
+            Failure(cause=Cause.NOT_PLANAR, start=first, end=window.index + 1, worst=window.index, message=text)
+        )
+        return text
 
     @property
     def _asks_relief(self) -> bool:

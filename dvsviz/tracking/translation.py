@@ -22,6 +22,7 @@ from dvsviz.geometry.camera import Camera
 from dvsviz.tracking import constants as c
 from dvsviz.tracking.relief_align import Sample
 from dvsviz.tracking.relief_map import ReliefMap
+from dvsviz.tracking.relief_planarity import deviation_of_landmarks
 
 Array = NDArray[np.float64]
 # A camera before a relief does not turn: over the few degrees of a sensor's view turning and moving sideways look alike
@@ -122,18 +123,20 @@ class ReliefOdometry:
             )
         self.mid_us = mid_us
         moved_px = float(np.hypot(*solved.velocity[:2])) * self.camera.focal_px * window.duration_s
-        self._keep(window, moved_px)
+        self.keep(window, moved_px)
         if self.not_a_plane is None:
             if not self.is_asked:
                 self.asked = []
             return ""
-        percent = f"inverse depth {100 * self.unevenness:.0f} % off the best plane"
-        if self.not_a_plane:
-            return f"the scene is not a plane: {percent}"
-        self.asked = []
-        return f"the scene is a plane: {percent}"
+        return f"the scene is {'not ' if self.not_a_plane else ''}a plane: {self.percent}"
 
-    def _keep(self, window: EventWindow, moved_px: float) -> None:
+    @property
+    def percent(self) -> str:
+        """How uneven the scene is, in words."""
+        return f"inverse depth {100 * self.unevenness:.0f} % off the best plane"
+
+    def keep(self, window: EventWindow, moved_px: float) -> None:
+        """Remember a window of which a relief map can be made."""
         if self.asked and window.first_event != self.asked[-1].first_event + self.asked[-1].events:
             # Windows in between were not asked: what was before them cannot be joined.
             self.asked = []
@@ -152,14 +155,19 @@ class ReliefOdometry:
 
     # --- on the map ----------------------------------------------------------------------------------------
 
-    def begin(self, T_world_first: Array) -> None:
-        """Make the relief map of the windows that were asked, the first of them at a pose (4, 4).
+    def begin(self, T_world_first: Array, *, may_turn: bool, least: float) -> bool:
+        """Make the relief map of the windows that were asked; return whether what it holds is no plane.
 
         The map's world is that of its first view. Windows before it, which hardly moved, are placed by their velocities.
+
+        Args:
+            T_world_first: pose (4, 4) of the first of them, at its middle.
+            may_turn: the camera may turn: what turning explains is no depth.
+            least: deviation of the landmarks' motion from a plane's from which it is taken; else it is dropped.
         """
         first = next((k for k, a in enumerate(self.asked) if k and a.moved_px >= c.RELIEF_MOVED_PX), 0)
         self.map, self.path = ReliefMap(self.camera, _FREE), []
-        self.map.begin(self.asked[first].sample, self._first_velocity(first))
+        self.map.begin(self.asked[first].sample, self.asked[first].velocity)
         T_odometry_world = T_world_first @ se3.inverse(self.asked[0].T_world_camera)
         self.map.T_world_map = T_odometry_world @ self.asked[first].T_world_camera
         for a in self.asked[: first + 1]:
@@ -169,21 +177,12 @@ class ReliefOdometry:
         for a in self.asked[first + 1 :]:
             self._advance(a.window, a.sample)
         self.asked = []
-
-    def _first_velocity(self, first: int) -> Array:
-        """Return the velocity (3,) of a window, as the windows after it know it: its own says little of the depths."""
-        velocity = self.asked[first].velocity
-        for _ in range(c.RELIEF_STARTS):
-            trial = ReliefMap(self.camera, _FREE)
-            trial.begin(self.asked[first].sample, velocity)
-            for a in self.asked[first + 1 : first + c.RELIEF_LAG]:
-                trial.follow(a.sample)
-            if len(trial.views) < 3:
-                break
-            a, b = trial.views[0], trial.views[2]
-            dt = (b.mid_us - a.mid_us) * 1e-6
-            velocity = (b.T_world_camera[:3, 3] - a.T_world_camera[:3, 3]) / max(dt, 1e-6)
-        return velocity
+        deviation = deviation_of_landmarks(self.map, may_turn=may_turn)
+        if not deviation >= least:
+            self.map, self.path = None, []
+            return False
+        self.unevenness, self.not_a_plane = deviation, True
+        return True
 
     def follow(self, window: EventWindow) -> None:
         """Track a window by the relief map."""
