@@ -212,8 +212,8 @@ def align_relief(
 
 
 def between(last: Moving, T: Array, dt: float) -> Moving | None:
-    """Return a pose (4, 4) with the mean velocities since the last one; None over a gap."""
-    if not 0 < dt < c.RELIEF_GAP_S:
+    """Return a pose (4, 4) with the mean velocities since (or, dt < 0, until) another one; None over a gap."""
+    if not 0 < abs(dt) < c.RELIEF_GAP_S:
         return None
     R_last, R = last.T_world_camera[:3, :3], T[:3, :3]
     return Moving(

@@ -8,7 +8,7 @@ solved together (`relief_adjust`), and what is seen for the first time takes its
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -88,12 +88,9 @@ class ReliefMap:
         """Return the pose (4, 4) of the next window, and take it into the map."""
         last = replace(self.moving, T_world_camera=self.views[-1].T_world_camera)
         dt = (sample.mid_us - self.views[-1].mid_us) * 1e-6
-        scale_px = self.camera.focal_px * self._middle(last)
         index = self._near(last)
         near = self.landmarks.take(index)
-        few = sample.thinned(c.RELIEF_ALIGN_EVENTS)
-        predicted = start(near, few, last, min(dt, c.RELIEF_GAP_S), self.camera)
-        self.moving = align_relief(near, few, predicted, last, dt, self.camera, self.free, scale_px)
+        self.moving = self._place(sample, near, last, dt)
         owned = own(near, sample, self.moving, self.camera, c.RELIEF_GATES_PX[-1])
         held = near.counts[owned.owner, 0] >= c.RELIEF_SEEN
         self.explained = float(((owned.owner >= 0) & held).mean()) if self.windows > c.RELIEF_SEEN else 1.0
@@ -109,6 +106,30 @@ class ReliefMap:
         self._grow(sample, self.landmarks.take(self._near(self.moving)))
         self.windows += 1
         return T
+
+    def views_before(self, samples: Sequence[Sample], first: Moving, mid_us: int) -> list[Array]:
+        """Return the poses (4, 4) of windows before the first view, the last one first, by the landmarks as they are.
+
+        Args:
+            samples: the windows, the last one first.
+            first: pose and velocities of the first view.
+            mid_us: its time.
+        """
+        poses, following, next_us = [], first, mid_us
+        for sample in samples:
+            near = self.landmarks.take(self._near(following))
+            following = self._place(sample, near, following, (sample.mid_us - next_us) * 1e-6)
+            next_us = sample.mid_us
+            poses.append(following.T_world_camera)
+        return poses
+
+    def _place(self, sample: Sample, near: Landmarks, other: Moving, dt: float) -> Moving:
+        """Return the pose of a window a time after (or before) another one, aligned with landmarks near the view."""
+        few = sample.thinned(c.RELIEF_ALIGN_EVENTS)
+        predicted = start(near, few, other, float(np.clip(dt, -c.RELIEF_GAP_S, c.RELIEF_GAP_S)), self.camera)
+        seen = near.seen_from(other.T_world_camera)[:, 4]
+        scale_px = self.camera.focal_px * (float(np.median(seen)) if len(seen) else 1.0)
+        return align_relief(near, few, predicted, other, dt, self.camera, self.free, scale_px)
 
     def in_view(self) -> tuple[Landmarks, Array]:
         """Return the landmarks in the last view, and how it sees them (L, 5)."""
@@ -175,11 +196,6 @@ class ReliefMap:
         edge = c.RELIEF_NEAR_PX
         inside = (x > -edge) & (y > -edge) & (x < camera.width + edge) & (y < camera.height + edge)
         return np.flatnonzero((seen[:, 4] > 0) & inside)
-
-    def _middle(self, moving: Moving) -> float:
-        """Return the median inverse depth in view."""
-        rho = self.landmarks.take(self._near(moving)).seen_from(moving.T_world_camera)[:, 4]
-        return float(np.median(rho)) if len(rho) else 1.0
 
     def _grow(self, sample: Sample, near: Landmarks) -> None:
         """Take in landmarks of the edges that none near the view explains yet."""

@@ -235,7 +235,7 @@ class Tracker:
         if relief.not_a_plane is None:
             return ""
         straight = self.config.motion == "translation"
-        if straight or (relief.not_a_plane and self._is_uneven):
+        if self.config.motion != "planar" or (relief.not_a_plane and self._is_uneven):
             return self._begin_relief(relief, window, note, straight=straight)
         if not relief.not_a_plane or len(relief.asked) > c.RELIEF_PATIENCE:
             relief.asked = []

@@ -8,7 +8,7 @@ from then on is what the camera is tracked by; the log says so.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from dvsviz.events.windows import EventWindow, make_window
 from dvsviz.geometry import se3
 from dvsviz.geometry.camera import Camera
 from dvsviz.tracking import constants as c
-from dvsviz.tracking.relief_align import Sample
+from dvsviz.tracking.relief_align import Moving, Sample, between
 from dvsviz.tracking.relief_map import ReliefMap
 from dvsviz.tracking.relief_planarity import deviation_of_landmarks
 
@@ -158,7 +158,7 @@ class ReliefOdometry:
     def begin(self, T_world_first: Array, *, may_turn: bool, least: float) -> bool:
         """Make the relief map of the windows that were asked; return whether what it holds is no plane.
 
-        The map's world is that of its first view. Windows before it, which hardly moved, are placed by their velocities.
+        The map begins with the first window that moved; those before it are placed when the map is made.
 
         Args:
             T_world_first: pose (4, 4) of the first of them, at its middle.
@@ -167,22 +167,45 @@ class ReliefOdometry:
         """
         first = next((k for k, a in enumerate(self.asked) if k and a.moved_px >= c.RELIEF_MOVED_PX), 0)
         self.map, self.path = ReliefMap(self.camera, _FREE), []
+        self.map.T_world_map = T_world_first
         self.map.begin(self.asked[first].sample, self.asked[first].velocity)
-        T_odometry_world = T_world_first @ se3.inverse(self.asked[0].T_world_camera)
-        self.map.T_world_map = T_odometry_world @ self.asked[first].T_world_camera
-        for a in self.asked[: first + 1]:
-            start_us = a.sample.mid_us - round(0.5e6 * a.sample.duration_s)
-            T = T_odometry_world @ a.T_world_camera
-            self.path.append(Passed(window=a.window, start_us=start_us, mid_us=a.sample.mid_us, T_world_camera=T))
-        for a in self.asked[first + 1 :]:
+        asked, self.asked = self.asked, []
+        start_us = [a.sample.mid_us - round(0.5e6 * a.sample.duration_s) for a in asked]
+        self.path = [
+            Passed(window=a.window, start_us=s, mid_us=a.sample.mid_us, T_world_camera=T_world_first)
+            for a, s in zip(asked[: first + 1], start_us, strict=False)
+        ]
+        for a in asked[first + 1 :]:
             self._advance(a.window, a.sample)
-        self.asked = []
+        self._place_before(asked[:first], T_world_first)
         deviation = deviation_of_landmarks(self.map, may_turn=may_turn)
+        if __import__("os").environ.get("RELDBG"): print("DEV", may_turn, deviation, len(self.path))
         if not deviation >= least:
             self.map, self.path = None, []
             return False
         self.unevenness, self.not_a_plane = deviation, True
         return True
+
+    def _place_before(self, asked: Sequence[Asked], T_world_first: Array) -> None:
+        """Place the windows before the map's first view by its landmarks, and put the first one at a pose (4, 4)."""
+        relief_map, k = self.live_map, len(asked)
+        if k == 0 or len(self.path) < k + 2:
+            return
+        T_map_world = se3.inverse(relief_map.T_world_map)
+        a, b = self.path[k], self.path[k + 1]
+        T = T_map_world @ a.T_world_camera
+        moving = between(Moving(T_world_camera=T_map_world @ b.T_world_camera, omega=np.zeros(3), velocity=np.zeros(3)),
+                         T, (a.mid_us - b.mid_us) * 1e-6)  # fmt: skip
+        moving = moving or Moving(T_world_camera=T, omega=np.zeros(3), velocity=np.zeros(3))
+        poses = relief_map.views_before([w.sample for w in reversed(asked)], moving, a.mid_us)[::-1]
+        relief_map.T_world_map = T_world_first @ se3.inverse(poses[0])
+        self.path = [
+            replace(p, T_world_camera=relief_map.T_world_map @ T)
+            for p, T in zip(
+                self.path, [*poses, *(T_map_world @ p.T_world_camera for p in self.path[k:])], strict=True
+            )
+        ]
+        self.T_world_camera = self.path[-1].T_world_camera
 
     def follow(self, window: EventWindow) -> None:
         """Track a window by the relief map."""
@@ -196,13 +219,8 @@ class ReliefOdometry:
         # The last views moved together.
         first = len(self.path) - len(relief_map.views)
         for k, view in enumerate(relief_map.views):
-            was = self.path[first + k]
-            self.path[first + k] = Passed(
-                window=was.window,
-                start_us=was.start_us,
-                mid_us=was.mid_us,
-                T_world_camera=relief_map.T_world_map @ view.T_world_camera,
-            )
+            T_view = relief_map.T_world_map @ view.T_world_camera
+            self.path[first + k] = replace(self.path[first + k], T_world_camera=T_view)
         self.T_world_camera, self.mid_us = T, sample.mid_us
         self.velocity = relief_map.moving.velocity
 
