@@ -172,7 +172,7 @@ def align_relief(
 ) -> Moving:
     """Return the pose of a window by its events' distances from the landmarks' lines, with its velocities.
 
-    Gauss-Newton with a closing gate; a prediction is a weak prior. A landmark counts by how well its own place is known.
+    Gauss-Newton with a closing gate; a prediction is a weak prior. Landmarks count by how well their place is known.
 
     Args:
         landmarks: those that may be in view.

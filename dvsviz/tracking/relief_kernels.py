@@ -63,7 +63,9 @@ def see(rays, states, R, p, seen):
 
 
 @numba.njit(**_JIT)
-def associate(bearings, t_s, is_positive, bounds_s, seen, sides, K, size, gate_px, reach_px, told_px, owner, residual):
+def associate(
+    bearings, t_s, is_positive, bounds_s, seen, sides, K, size, gate_px, reach_px, told_px, owner, residual
+):
     """Write which landmark (N,) each event belongs to, -1 for none, and its distance from the line, px.
 
     The window is cut into slices, each with its own view of the landmarks, in which they move evenly.

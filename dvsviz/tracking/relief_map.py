@@ -271,9 +271,7 @@ class ReliefMap:
         self.landmarks = Landmarks.unpack(state)
         self.T_world_map = np.array(state["relief_map_origin"])
         omega, velocity = np.array(state["relief_map_velocities"])
-        self.moving = Moving(
-            T_world_camera=np.array(state["relief_map_moving"]), omega=omega, velocity=velocity
-        )
+        self.moving = Moving(T_world_camera=np.array(state["relief_map_moving"]), omega=omega, velocity=velocity)
         windows, self.explained, self.gain, self.displacement_px = (float(v) for v in state["relief_map_numbers"])
         self.windows = int(windows)
         landmark, view = np.array(state["relief_map_sightings"]).T

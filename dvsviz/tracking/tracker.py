@@ -235,23 +235,21 @@ class Tracker:
         if relief.not_a_plane is None:
             return ""
         straight = self.config.motion == "translation"
-        if self.config.motion != "planar" or (relief.not_a_plane and self._is_uneven):
-            return self._begin_relief(relief, window, note, straight=straight)
+        told_only = self.config.motion == "planar" and self.config.mode != "map"
+        if not told_only and (straight or self._motion.good_score < c.RELIEF_TOLD_SCORE):
+            return self._begin_relief(relief, window, straight=straight)
         if not relief.not_a_plane or len(relief.asked) > c.RELIEF_PATIENCE:
             relief.asked = []
-        return "" if relief.not_a_plane else note
+        return note if self._is_uneven or not relief.not_a_plane else ""
 
-    def _begin_relief(self, relief: ReliefOdometry, window: EventWindow, note: str, *, straight: bool) -> str:
+    def _begin_relief(self, relief: ReliefOdometry, window: EventWindow, *, straight: bool) -> str:
         """Go on by a relief map where its landmarks, too, lie on no plane; return what is to be said."""
         planar = self.config.motion == "planar"
         least = c.RELIEF_OFF_PLANE_STRAIGHT if straight else c.RELIEF_OFF_PLANE
         first = relief.asked[0].window
         T = next((t.T_world_camera for t in self._mapper.traces if t.window == first and first > 0), np.eye(4))
-        if (planar and self.config.mode != "map") or not relief.begin(T, may_turn=not straight, least=least):
-            relief.asked = []
-            if planar or not relief.not_a_plane:
-                return note
-            relief.not_a_plane = False
+        if not relief.begin(T, may_turn=not straight, least=least):
+            relief.not_a_plane, relief.asked = False, []
             return f"the scene is a plane: {relief.percent}"
         self._mapper.tell_refined(relief.poses())
         note = f"the scene is not a plane: {relief.percent}"

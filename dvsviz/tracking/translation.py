@@ -179,7 +179,6 @@ class ReliefOdometry:
             self._advance(a.window, a.sample)
         self._place_before(asked[:first], T_world_first)
         deviation = deviation_of_landmarks(self.map, may_turn=may_turn)
-        if __import__("os").environ.get("RELDBG"): print("DEV", may_turn, deviation, len(self.path))
         if not deviation >= least:
             self.map, self.path = None, []
             return False
@@ -249,9 +248,9 @@ class ReliefOdometry:
             "relief_asked": np.array(asked, dtype=np.int64).reshape(-1, 4),
             "relief_asked_velocities": np.array([[*a.velocity, a.moved_px] for a in self.asked]).reshape(-1, 4),
             "relief_asked_poses": np.array([a.T_world_camera for a in self.asked]).reshape(-1, 4, 4),
-            "relief_path": np.array(
-                [(p.window, p.start_us, p.mid_us) for p in self.path], dtype=np.int64
-            ).reshape(-1, 3),
+            "relief_path": np.array([(p.window, p.start_us, p.mid_us) for p in self.path], dtype=np.int64).reshape(
+                -1, 3
+            ),
             "relief_poses": np.array([p.T_world_camera for p in self.path]).reshape(-1, 4, 4),
             "relief_numbers": np.array([self.windows, self.seen, self.unevenness, decided], dtype=np.float64),
         }
@@ -265,6 +264,8 @@ class ReliefOdometry:
             camera: of the recording.
             source: the recording's events.
         """
+        if "relief_asked" not in state:
+            raise ValueError("state: expected the arrays of a relief map, they were made by another version")
         self.relief, self.velocity = np.array(state["relief"]), np.array(state["relief_velocity"])
         self.T_world_camera, self.mid_us = np.array(state["relief_pose"]), int(state["relief_time"][0])
         self.asked = []
@@ -276,9 +277,15 @@ class ReliefOdometry:
             window = make_window(camera, events, index=index, first_event=first, end_us=end_us)
             self.asked.append(
                 Asked(
-                    window=index, first_event=first, events=count, end_us=end_us, velocity=np.array(speeds[:3]),
-                    moved_px=float(speeds[3]), T_world_camera=np.array(T), sample=Sample.of(window),
-                )  # fmt: skip
+                    window=index,
+                    first_event=first,
+                    events=count,
+                    end_us=end_us,
+                    velocity=np.array(speeds[:3]),
+                    moved_px=float(speeds[3]),
+                    T_world_camera=np.array(T),
+                    sample=Sample.of(window),
+                )
             )
         self.path = [
             Passed(window=int(n), start_us=int(start_us), mid_us=int(mid_us), T_world_camera=np.array(T))
