@@ -15,6 +15,7 @@ from dvsviz.geometry import se3
 from dvsviz.geometry.camera import Camera
 from dvsviz.session.records import WindowResult
 from dvsviz.simulate.motion import slider
+from dvsviz.simulate.scenes import SceneName
 from dvsviz.simulate.simulate import simulate
 from dvsviz.tracking.relief_adjust import Sightings, adjust
 from dvsviz.tracking.relief_kernels import associate, derivatives
@@ -184,7 +185,7 @@ def test_a_checkpoint_goes_on_with_the_same_bits(slide: Path, at: int) -> None:
 
 
 @pytest.mark.parametrize(("scene", "seed"), [("shapes", 5), ("poster", 6)])
-def test_a_plane_stays_one(tmp_path: Path, scene: str, seed: int) -> None:
+def test_a_plane_stays_one(tmp_path: Path, scene: SceneName, seed: int) -> None:
     simulate(
         tmp_path / "wall.h5",
         scene=scene,
@@ -192,8 +193,9 @@ def test_a_plane_stays_one(tmp_path: Path, scene: str, seed: int) -> None:
         seconds=1.3,
         seed=seed,
         tilt_deg=30.0,
-    )  # pyright: ignore[reportArgumentType]
-    for motion in ("translation", "auto", "planar"):
+    )
+    motions: tuple[Motion, ...] = ("translation", "auto", "planar")
+    for motion in motions:
         results, _ = tracked(tmp_path / "wall.h5", motion)
         assert not any("not a plane" in r.note for r in results)
 
@@ -202,7 +204,8 @@ def test_slider_depth_is_tracked_in_each_motion(data_dir: Path) -> None:
     path = data_dir / "ecd" / "slider_depth.zip"
     truth = open_recording(path).ground_truth
     assert truth is not None
-    for motion in ("auto", "planar"):
+    motions: tuple[Motion, ...] = ("auto", "planar")
+    for motion in motions:
         results, tracker = tracked(path, motion)
         refined = tracker.finish().refined[-1]
         t_us = np.array([results[k].start_us for k in refined.windows])

@@ -251,8 +251,9 @@ RELIEF_EVALUATIONS: Final = 14
 RELIEF_WINDOWS_MIN: Final = 8
 RELIEF_WINDOWS: Final = 14
 RELIEF_UNEVEN: Final = 0.08
-# The same in planar mode, where windows are smaller (0.042 on slider_depth). In `planar` and `auto` a relief map is tried
-# where the running score is below the second number: 0.30 to 0.45 before scenes with depth, 0.45 to 0.83 before planes.
+# The same in planar mode, where windows are smaller (0.042 on slider_depth). In `planar` and `auto` a relief map is
+# tried where the running score is below the second number: 0.30 to 0.45 before scenes with depth, 0.45 to 0.83 before
+# planes.
 RELIEF_UNEVEN_TOLD: Final = 0.04
 RELIEF_TOLD_SCORE: Final = 0.6
 # A larger step from one window to the next is events drawn together, not depth.
@@ -277,8 +278,8 @@ RELIEF_SLICES: Final = 5
 # Distances across a line within which an event may belong to it, px, closing; and that along it.
 RELIEF_GATES_PX: Final = (6.0, 3.0, 2.0)
 RELIEF_REACH_PX: Final = 2.5
-# Gauss-Newton steps a gate, and the step, px, at which they end. With 2 instead of 5 a pose lags behind its events where
-# texture is dense: a hand before `planes` is 9 % of its way off instead of 0.3.
+# Gauss-Newton steps a gate, and the step, px, at which they end. With 2 instead of 5 a pose lags behind its events
+# where texture is dense: a hand before `planes` is 9 % of its way off instead of 0.3.
 RELIEF_ITERATIONS: Final = 5
 RELIEF_STEP_PX: Final = 0.02
 # Shares of the last speed from which an alignment may start, and the cost by the best so far that a later one needs.

@@ -43,7 +43,8 @@ def inverse_depths(landmarks: Landmarks, sample: Sample, moving: Moving, camera:
         a, b = cv2.GaussianBlur(total, (0, 0), sigma), cv2.GaussianBlur(known, (0, 0), sigma)
         least = 1.0 / (2 * np.pi * sigma * sigma)
         out = (a + least * out) / (b + least)
-    return np.asarray(cv2.resize(out, (camera.width, camera.height), interpolation=cv2.INTER_LINEAR))
+    image = cv2.resize(out, (camera.width, camera.height), interpolation=cv2.INTER_LINEAR)
+    return np.asarray(image, dtype=np.float64)
 
 
 def deskewed(sample: Sample, rho: Array, moving: Moving, camera: Camera) -> NDArray[np.float32]:

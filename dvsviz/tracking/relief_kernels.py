@@ -14,7 +14,6 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-_JIT = {"cache": True, "nogil": True}
 # Columns of `rays`: origin, direction, normal, tangent.
 RAY_COLUMNS = 12
 # Columns of `seen`: bearing (2), normal (2), inverse depth in the view (0 where it is behind the camera).
@@ -22,7 +21,7 @@ SEEN_COLUMNS = 5
 _NEAREST = 1e-3
 
 
-@numba.njit(**_JIT)
+@numba.njit(cache=True, nogil=True)
 def homogeneous(ray, u, rho, R, p, Y):
     """Write Y (3,), the direction in which a camera (R, p) sees a landmark."""
     a0 = ray[3] + u * ray[6] + rho * (ray[0] - p[0])
@@ -32,7 +31,7 @@ def homogeneous(ray, u, rho, R, p, Y):
         Y[k] = R[0, k] * a0 + R[1, k] * a1 + R[2, k] * a2
 
 
-@numba.njit(**_JIT)
+@numba.njit(cache=True, nogil=True)
 def see(rays, states, R, p, seen):
     """Write how a camera (R, p) sees the landmarks.
 
@@ -62,7 +61,7 @@ def see(rays, states, R, p, seen):
         seen[i, 4] = states[i, 1] / Y[2]
 
 
-@numba.njit(**_JIT)
+@numba.njit(cache=True, nogil=True)
 def associate(
     bearings, t_s, is_positive, bounds_s, seen, sides, K, size, gate_px, reach_px, told_px, owner, residual
 ):
@@ -137,7 +136,7 @@ def associate(
             k += 1
 
 
-@numba.njit(**_JIT)
+@numba.njit(cache=True, nogil=True)
 def by_landmark(owner, residual, count, total):
     """Add up events (N,) by their landmarks (L,): their number, and their residuals."""
     for k in range(owner.shape[0]):
@@ -147,7 +146,7 @@ def by_landmark(owner, residual, count, total):
             total[i] += residual[k]
 
 
-@numba.njit(**_JIT)
+@numba.njit(cache=True, nogil=True)
 def derivatives(ray, u, rho, R, p, normal, focal, by_pose, by_state):
     """Write the derivatives of a landmark's place across its line, px; return that place.
 
@@ -182,7 +181,7 @@ def derivatives(ray, u, rho, R, p, normal, focal, by_pose, by_state):
     return focal * (normal[0] * x + normal[1] * y)
 
 
-@numba.njit(**_JIT)
+@numba.njit(cache=True, nogil=True)
 def pose_equations(rays, states, variances, seen, R, p, focal, index, offset, weight, scale_px, H, g):
     """Add the normal equations of one pose (6, 6), (6,) by landmarks' mean distances from their lines.
 
@@ -220,7 +219,7 @@ def pose_equations(rays, states, variances, seen, R, p, focal, index, offset, we
     return cost
 
 
-@numba.njit(**_JIT)
+@numba.njit(cache=True, nogil=True)
 def place_variances(rays, states, information, seen, R, p, focal, out):
     """Write the variances (L,), px², of the landmarks' places across their lines, by their information (L, 2, 2)."""
     J, s = np.empty(6), np.empty(2)
