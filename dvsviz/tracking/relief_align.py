@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from dvsviz.events.windows import EventWindow
 from dvsviz.geometry import se3
 from dvsviz.geometry.camera import Camera
-from dvsviz.tracking import constants as c
+from dvsviz.tracking import relief_constants as rc
 from dvsviz.tracking.relief_kernels import associate, by_landmark, place_variances, pose_equations
 from dvsviz.tracking.relief_landmarks import Landmarks
 
@@ -38,7 +38,7 @@ class Sample:
     @classmethod
     def of(cls, window: EventWindow) -> Sample:
         """Return evenly taken events of a window."""
-        stride = -(-len(window) // c.RELIEF_MAP_EVENTS)
+        stride = -(-len(window) // rc.RELIEF_MAP_EVENTS)
         mid_us = window.start_us + (window.end_us - window.start_us) // 2
         return cls(
             bearings=np.ascontiguousarray(window.bearings[::stride]),
@@ -106,7 +106,7 @@ class Owned:
         by_landmark(self.owner, self.residual_px, count, total)
         lines = np.flatnonzero(count > 0)
         n = count[lines]
-        return lines, total[lines] / n, np.minimum(n, c.RELIEF_MOST_EVENTS) / c.RELIEF_VARIANCE_PX2
+        return lines, total[lines] / n, np.minimum(n, rc.RELIEF_MOST_EVENTS) / rc.RELIEF_VARIANCE_PX2
 
 
 def own(
@@ -115,7 +115,7 @@ def own(
     moving: Moving,
     camera: Camera,
     gate_px: float,
-    signed_px: float = c.RELIEF_SIGNED_PX,
+    signed_px: float = rc.RELIEF_SIGNED_PX,
 ) -> Owned:
     """Return which landmarks a window's events belong to.
 
@@ -127,12 +127,12 @@ def own(
         gate_px: largest distance from the line.
         signed_px: motion across a line within the window above which its events have one polarity.
     """
-    bounds = np.linspace(sample.t_s[0], sample.t_s[-1] + 1e-6, c.RELIEF_SLICES + 1)
+    bounds = np.linspace(sample.t_s[0], sample.t_s[-1] + 1e-6, rc.RELIEF_SLICES + 1)
     seen = np.stack([landmarks.seen_from(moving.at(float(t))) for t in bounds])
     owner, residual = np.full(len(sample.t_s), -1, np.int32), np.zeros(len(sample.t_s))
     associate(
         sample.bearings, sample.t_s, sample.is_positive, bounds, seen, landmarks.sides, camera.matrix,
-        np.array([camera.width, camera.height]), gate_px, c.RELIEF_REACH_PX, signed_px, owner, residual,
+        np.array([camera.width, camera.height]), gate_px, rc.RELIEF_REACH_PX, signed_px, owner, residual,
     )  # fmt: skip
     return Owned(owner=owner, residual_px=residual)
 
@@ -150,12 +150,12 @@ def start(landmarks: Landmarks, sample: Sample, last: Moving, dt: float, camera:
         camera: of the window.
     """
     best, found = np.inf, last
-    gate = c.RELIEF_GATES_PX[1]
-    for share in c.RELIEF_SPEEDS:
+    gate = rc.RELIEF_GATES_PX[1]
+    for share in rc.RELIEF_SPEEDS:
         tried = replace(last, omega=share * last.omega, velocity=share * last.velocity)
         tried = replace(tried, T_world_camera=tried.at(dt))
         cost = own(landmarks, sample, tried, camera, gate, signed_px=np.inf).cost(gate)
-        if cost < c.RELIEF_LEAD * best:
+        if cost < rc.RELIEF_LEAD * best:
             best, found = cost, tried
     return found
 
@@ -187,10 +187,10 @@ def align_relief(
     focal, index, moving = camera.focal_px, np.flatnonzero(free), predicted
     T_predicted = predicted.T_world_camera
     moved = float(np.linalg.norm(T_predicted[:3, 3] - last.T_world_camera[:3, 3]))
-    sigma_px = c.RELIEF_PREDICTED_PX + c.RELIEF_PREDICTED_SHARE * scale_px * moved
+    sigma_px = rc.RELIEF_PREDICTED_PX + rc.RELIEF_PREDICTED_SHARE * scale_px * moved
     prior = np.diag(np.r_[np.full(3, focal**2), np.full(3, scale_px**2)]) / sigma_px**2
-    for gate in c.RELIEF_GATES_PX:
-        for _ in range(c.RELIEF_ITERATIONS):
+    for gate in rc.RELIEF_GATES_PX:
+        for _ in range(rc.RELIEF_ITERATIONS):
             T = moving.T_world_camera
             lines, mean, weight = own(landmarks, sample, moving, camera, gate).means(len(landmarks))
             seen, variances = landmarks.seen_from(T), np.empty(len(landmarks))
@@ -200,20 +200,20 @@ def align_relief(
             H, g = prior.copy(), prior @ off
             pose_equations(
                 landmarks.rays, landmarks.states, variances, seen, R, p, focal, lines, mean, weight,
-                c.RELIEF_ROBUST_PX, H, g,
+                rc.RELIEF_ROBUST_PX, H, g,
             )  # fmt: skip
             step = np.zeros(6)
             step[index] = np.linalg.solve(H[np.ix_(index, index)], g[index])
             T = se3.pose(R @ se3.exp_so3(step[:3]), p + step[3:])
             moving = between(last, T, dt) or replace(moving, T_world_camera=T)
-            if np.abs(step * np.sqrt(np.diag(prior))).max() * sigma_px < c.RELIEF_STEP_PX:
+            if np.abs(step * np.sqrt(np.diag(prior))).max() * sigma_px < rc.RELIEF_STEP_PX:
                 break
     return moving
 
 
 def between(last: Moving, T: Array, dt: float) -> Moving | None:
     """Return a pose (4, 4) with the mean velocities since (or, dt < 0, until) another one; None over a gap."""
-    if not 0 < abs(dt) < c.RELIEF_GAP_S:
+    if not 0 < abs(dt) < rc.RELIEF_GAP_S:
         return None
     R_last, R = last.T_world_camera[:3, :3], T[:3, :3]
     return Moving(

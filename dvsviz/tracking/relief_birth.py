@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from dvsviz.contrast.iwe import vote
 from dvsviz.geometry.camera import Camera
 from dvsviz.tracking import constants as c
+from dvsviz.tracking import relief_constants as rc
 from dvsviz.tracking.edges import ridge_pixels
 from dvsviz.tracking.relief_align import Moving, Sample
 from dvsviz.tracking.relief_landmarks import Landmarks
@@ -20,7 +21,7 @@ Array = NDArray[np.float64]
 def inverse_depths(landmarks: Landmarks, sample: Sample, moving: Moving, camera: Camera) -> Array:
     """Return the inverse depth (height, width) of a view, of the landmarks in it and of a sweep of its events."""
     seen = landmarks.seen_from(moving.T_world_camera)
-    step = c.RELIEF_CELL_PX
+    step = rc.RELIEF_CELL_PX
     shape = (camera.height // step + 1, camera.width // step + 1)
     x, y = _pixels(seen[:, :2], camera).T / step
     good = (seen[:, 4] > 0) & (landmarks.counts[:, 0] >= 2)
@@ -28,11 +29,11 @@ def inverse_depths(landmarks: Landmarks, sample: Sample, moving: Moving, camera:
     cell = y[good].astype(np.int64) * shape[1] + x[good].astype(np.int64)
     rho = seen[good, 4]
     told = landmarks.information[good, 1, 1] * landmarks.states[good, 1] ** 2
-    weight = told / (told + 1.0 / c.RELIEF_DEPTH_SHARE**2)
+    weight = told / (told + 1.0 / rc.RELIEF_DEPTH_SHARE**2)
     total = np.bincount(cell, weight * rho, shape[0] * shape[1]).reshape(shape)
     known = np.bincount(cell, weight, shape[0] * shape[1]).reshape(shape)
     middle = float(np.median(rho)) if len(rho) else 1.0
-    tried = np.geomspace(middle / c.RELIEF_SWEEP_RANGE, middle * c.RELIEF_SWEEP_RANGE, c.RELIEF_SWEEP_STEPS)
+    tried = np.geomspace(middle / rc.RELIEF_SWEEP_RANGE, middle * rc.RELIEF_SWEEP_RANGE, rc.RELIEF_SWEEP_STEPS)
     swept, clear = sweep(
         sample.bearings, sample.t_s, sample.is_positive, camera, moving.omega, moving.velocity, tried
     )
@@ -73,7 +74,7 @@ def new_landmarks(
     seen = landmarks.seen_from(moving.T_world_camera)
     ahead = landmarks.seen_from(moving.at(sample.duration_s))
     flow_px = focal * np.einsum("ij,ij->i", ahead[:, :2] - seen[:, :2], seen[:, 2:4])
-    signs = np.where(np.abs(flow_px) > c.RELIEF_SIGNED_PX, landmarks.sides * np.sign(flow_px), 0.0)
+    signs = np.where(np.abs(flow_px) > rc.RELIEF_SIGNED_PX, landmarks.sides * np.sign(flow_px), 0.0)
     uv = np.rint(_pixels(seen[:, :2], camera)).astype(np.int64)
     inside = (seen[:, 4] > 0) & (uv >= 0).all(axis=1) & (uv < [camera.width, camera.height]).all(axis=1)
     made = []
@@ -88,7 +89,7 @@ def new_landmarks(
         taken = np.zeros(shape, dtype=np.uint8)
         near = inside & (signs * polarity >= 0)
         taken[uv[near, 1], uv[near, 0]] = 1
-        taken = cv2.dilate(taken, np.ones((c.RELIEF_CLEAR_PX, c.RELIEF_CLEAR_PX), np.uint8))
+        taken = cv2.dilate(taken, np.ones((rc.RELIEF_CLEAR_PX, rc.RELIEF_CLEAR_PX), np.uint8))
         found = found[taken[found[:, 1].astype(np.int64), found[:, 0].astype(np.int64)] == 0]
         found = found[_spaced(found, shape)]
         made.append(np.column_stack([found, np.full(len(found), polarity)]))
@@ -99,7 +100,7 @@ def new_landmarks(
     normal, polarity = np.ascontiguousarray(new[:, 3:5]), new[:, 5]
     depth = rho[new[:, 1].astype(np.int64), new[:, 0].astype(np.int64)]
     across = np.einsum("ij,ij->i", image_flow(xy, depth, moving.omega, moving.velocity), normal)
-    told = focal * np.abs(across) * sample.duration_s > c.RELIEF_SIGNED_PX
+    told = focal * np.abs(across) * sample.duration_s > rc.RELIEF_SIGNED_PX
     sides = np.where(told, np.sign(across) * polarity, 0.0)
     fresh = _on_rays(moving.T_world_camera, xy, normal, depth, sides, focal)
     return fresh, normal, focal * (normal * xy).sum(axis=1)
@@ -119,8 +120,8 @@ def _on_rays(T: Array, xy: Array, normal: Array, depth: Array, sides: Array, foc
     )
     states = np.column_stack([nothing, depth])
     known = np.zeros((count, 2, 2))
-    known[:, 0, 0] = (focal / c.RELIEF_OFFSET_PX) ** 2
-    known[:, 1, 1] = 1.0 / (c.RELIEF_DEPTH_SHARE * depth) ** 2
+    known[:, 0, 0] = (focal / rc.RELIEF_OFFSET_PX) ** 2
+    known[:, 1, 1] = 1.0 / (rc.RELIEF_DEPTH_SHARE * depth) ** 2
     return Landmarks(
         rays=rays,
         states=states,
@@ -139,6 +140,6 @@ def _pixels(bearings: Array, camera: Camera) -> Array:
 
 def _spaced(found: Array, shape: tuple[int, int]) -> NDArray[np.int64]:
     """Return which ridge pixels to take: one of each block of pixels."""
-    block = c.RELIEF_SPACING_PX
+    block = rc.RELIEF_SPACING_PX
     row, column = (found[:, 1] // block).astype(np.int64), (found[:, 0] // block).astype(np.int64)
     return np.sort(np.unique(row * (shape[1] // block + 1) + column, return_index=True)[1])

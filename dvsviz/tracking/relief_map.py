@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from dvsviz.contrast.iwe import vote
 from dvsviz.geometry.camera import Camera
-from dvsviz.tracking import constants as c
+from dvsviz.tracking import relief_constants as rc
 from dvsviz.tracking.relief_adjust import Sightings, adjust
 from dvsviz.tracking.relief_align import Moving, Owned, Sample, align_relief, between, own, start
 from dvsviz.tracking.relief_birth import deskewed, inverse_depths, new_landmarks
@@ -91,9 +91,9 @@ class ReliefMap:
         index = self._near(last)
         near = self.landmarks.take(index)
         self.moving = self._place(sample, near, last, dt)
-        owned = own(near, sample, self.moving, self.camera, c.RELIEF_GATES_PX[-1])
-        held = near.counts[owned.owner, 0] >= c.RELIEF_SEEN
-        self.explained = float(((owned.owner >= 0) & held).mean()) if self.windows > c.RELIEF_SEEN else 1.0
+        owned = own(near, sample, self.moving, self.camera, rc.RELIEF_GATES_PX[-1])
+        held = near.counts[owned.owner, 0] >= rc.RELIEF_SEEN
+        self.explained = float(((owned.owner >= 0) & held).mean()) if self.windows > rc.RELIEF_SEEN else 1.0
         # From the landmarks near the view to all of them.
         owned = replace(owned, owner=np.where(owned.owner >= 0, index[owned.owner], -1).astype(np.int32))
         self.views.append(self._view(owned, sample, self.landmarks))
@@ -125,8 +125,8 @@ class ReliefMap:
 
     def _place(self, sample: Sample, near: Landmarks, other: Moving, dt: float) -> Moving:
         """Return the pose of a window a time after (or before) another one, aligned with landmarks near the view."""
-        few = sample.thinned(c.RELIEF_ALIGN_EVENTS)
-        predicted = start(near, few, other, float(np.clip(dt, -c.RELIEF_GAP_S, c.RELIEF_GAP_S)), self.camera)
+        few = sample.thinned(rc.RELIEF_ALIGN_EVENTS)
+        predicted = start(near, few, other, float(np.clip(dt, -rc.RELIEF_GAP_S, rc.RELIEF_GAP_S)), self.camera)
         seen = near.seen_from(other.T_world_camera)[:, 4]
         scale_px = self.camera.focal_px * (float(np.median(seen)) if len(seen) else 1.0)
         return align_relief(near, few, predicted, other, dt, self.camera, self.free, scale_px)
@@ -164,24 +164,24 @@ class ReliefMap:
         """Solve the last views and their landmarks together. While all views are in the lag window, the first holds."""
         Ts = np.stack([v.T_world_camera for v in self.views])
         held = np.zeros(len(Ts), dtype=np.bool_)
-        held[0] = self.windows < c.RELIEF_LAG
+        held[0] = self.windows < rc.RELIEF_LAG
         m = self.landmarks
         Ts, states, information = adjust(
             m.rays, m.states, m.prior_states, m.prior_information, Ts, held, self.free, _sightings(self.views),
-            self.camera.focal_px, rounds=c.RELIEF_ROUNDS, scale_px=c.RELIEF_ROBUST_PX,
+            self.camera.focal_px, rounds=rc.RELIEF_ROUNDS, scale_px=rc.RELIEF_ROBUST_PX,
         )  # fmt: skip
         self.landmarks = replace(m, states=states, information=information)
         self.views = [replace(v, T_world_camera=T) for v, T in zip(self.views, Ts, strict=True)]
 
     def _fold(self) -> None:
         """Let what the oldest view saw become a prior of the landmarks, once the lag window is full."""
-        if len(self.views) <= c.RELIEF_LAG:
+        if len(self.views) <= rc.RELIEF_LAG:
             return
         old, m = self.views.pop(0), self.landmarks
         _, told, known = adjust(
             m.rays, m.states, m.prior_states, m.prior_information, old.T_world_camera[None],
             np.ones(1, dtype=np.bool_), self.free, _sightings([old]), self.camera.focal_px, rounds=1,
-            scale_px=c.RELIEF_ROBUST_PX,
+            scale_px=rc.RELIEF_ROBUST_PX,
         )  # fmt: skip
         prior_states, prior_information = m.prior_states.copy(), m.prior_information.copy()
         prior_states[old.landmark], prior_information[old.landmark] = told[old.landmark], known[old.landmark]
@@ -193,7 +193,7 @@ class ReliefMap:
         """Return the landmarks that lie in view or not far from it."""
         seen, camera = self.landmarks.seen_from(moving.T_world_camera), self.camera
         x, y = seen[:, 0] * camera.fx + camera.cx, seen[:, 1] * camera.fy + camera.cy
-        edge = c.RELIEF_NEAR_PX
+        edge = rc.RELIEF_NEAR_PX
         inside = (x > -edge) & (y > -edge) & (x < camera.width + edge) & (y < camera.height + edge)
         return np.flatnonzero((seen[:, 4] > 0) & inside)
 
@@ -206,7 +206,7 @@ class ReliefMap:
         fresh, normal, place = new_landmarks(near, sample, px, rho, moving, camera)
         view, first = self.views[-1], len(self.landmarks)
         self.landmarks = self.landmarks.joined(fresh)
-        weight = c.RELIEF_FRESH_EVENTS / c.RELIEF_VARIANCE_PX2
+        weight = rc.RELIEF_FRESH_EVENTS / rc.RELIEF_VARIANCE_PX2
         self.views[-1] = replace(
             view,
             landmark=np.concatenate([view.landmark, np.arange(first, first + len(fresh))]),
@@ -233,19 +233,19 @@ class ReliefMap:
         a, b = m.seen_from(moving.at(-half_s)), m.seen_from(moving.at(half_s))
         x, y = 0.5 * (a[:, 0] + b[:, 0]) * camera.fx + camera.cx, 0.5 * (a[:, 1] + b[:, 1]) * camera.fy + camera.cy
         across = camera.focal_px * np.abs(np.einsum("ij,ij->i", b[:, :2] - a[:, :2], a[:, 2:4]))
-        edge = c.RELIEF_BORDER_PX
+        edge = rc.RELIEF_BORDER_PX
         in_view = (a[:, 4] > 0) & (np.minimum(x, y) > edge)
         in_view &= (x < camera.width - edge) & (y < camera.height - edge)
         far = (a[:, 4] <= 0) | (np.minimum(x, y) < -edge)
         far |= (x > camera.width + edge) | (y > camera.height + edge)
         counts, seen = m.counts.copy(), np.unique(owned.owner[owned.owner >= 0])
         counts[seen, 0] += 1
-        missed = in_view & (across > c.RELIEF_TOLD_PX)
+        missed = in_view & (across > rc.RELIEF_TOLD_PX)
         missed[seen] = False
         counts[missed, 1] += 1
         counts[seen, 1] = 0
-        fresh = counts[:, 0] < c.RELIEF_SEEN
-        dead = (counts[:, 1] >= c.RELIEF_MISSED) | (fresh & (far | (counts[:, 1] >= c.RELIEF_MISSED_FRESH)))
+        fresh = counts[:, 0] < rc.RELIEF_SEEN
+        dead = (counts[:, 1] >= rc.RELIEF_MISSED) | (fresh & (far | (counts[:, 1] >= rc.RELIEF_MISSED_FRESH)))
         self.landmarks = replace(m, counts=counts).take(~dead)
         number = np.cumsum(~dead) - 1
         self.views = [_without(v, dead, number) for v in self.views]

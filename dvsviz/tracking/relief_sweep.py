@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from dvsviz.contrast.iwe import vote
 from dvsviz.geometry.camera import Camera
-from dvsviz.tracking import constants as c
+from dvsviz.tracking import relief_constants as rc
 
 Array = NDArray[np.float64]
 
@@ -55,7 +55,7 @@ def sweep(
         inverse_depths: to try (K,), a geometric sequence.
     """
     K, shape = camera.matrix, (camera.height, camera.width)
-    cells = (camera.height // c.RELIEF_CELL_PX + 1, camera.width // c.RELIEF_CELL_PX + 1)
+    cells = (camera.height // rc.RELIEF_CELL_PX + 1, camera.width // rc.RELIEF_CELL_PX + 1)
     b = np.asarray(bearings, dtype=np.float64)
     sign = np.where(is_positive, np.float32(1), np.float32(-1))
     still = image_flow(b, np.zeros(len(b)), omega, velocity)
@@ -64,9 +64,9 @@ def sweep(
     for k, rho in enumerate(inverse_depths):
         points = b - t_s[:, None] * (still + rho * moved)
         px = (points * [K[0, 0], K[1, 1]] + [K[0, 2], K[1, 2]]).astype(np.float32)
-        image = cv2.GaussianBlur(vote(px, sign, shape), (0, 0), c.RELIEF_SWEEP_BLUR_PX)
+        image = cv2.GaussianBlur(vote(px, sign, shape), (0, 0), rc.RELIEF_SWEEP_BLUR_PX)
         small = cv2.resize(image * image, cells[::-1], interpolation=cv2.INTER_AREA)
-        scores[k] = cv2.GaussianBlur(small, (0, 0), c.RELIEF_SWEEP_CELLS)
+        scores[k] = cv2.GaussianBlur(small, (0, 0), rc.RELIEF_SWEEP_CELLS)
     best = np.clip(np.argmax(scores, axis=0), 1, len(inverse_depths) - 2)
     before, at, after = (np.take_along_axis(scores, (best + d)[None], 0)[0] for d in (-1, 0, 1))
     curvature = before - 2 * at + after
@@ -75,4 +75,4 @@ def sweep(
     step = np.log(inverse_depths[1] / inverse_depths[0])
     rho = inverse_depths[best] * np.exp(step * np.clip(offset, -1.0, 1.0))
     clear = at / np.maximum(np.median(scores, axis=0), 1e-9) - 1.0
-    return rho, np.where((at > c.RELIEF_SWEEP_LEAST) & (curvature < 0), np.clip(clear, 0.0, 1.0), 0.0)
+    return rho, np.where((at > rc.RELIEF_SWEEP_LEAST) & (curvature < 0), np.clip(clear, 0.0, 1.0), 0.0)

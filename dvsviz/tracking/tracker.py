@@ -28,6 +28,7 @@ from dvsviz.geometry.camera import Camera
 from dvsviz.session.records import Cause, Failure, Status, TrackerUpdates, WindowResult
 from dvsviz.tracking import constants as c
 from dvsviz.tracking import diagnose
+from dvsviz.tracking import relief_constants as rc
 from dvsviz.tracking.align import free_parameters
 from dvsviz.tracking.failures import FailureWatch, cause_of
 from dvsviz.tracking.finder import PoseFinder
@@ -75,7 +76,7 @@ class Tracker:
             gyro=self._gyro,
         )
         # A camera that only turns sees no depth.
-        uneven = c.RELIEF_UNEVEN_TOLD if self.config.motion == "planar" else c.RELIEF_UNEVEN
+        uneven = rc.RELIEF_UNEVEN_TOLD if self.config.motion == "planar" else rc.RELIEF_UNEVEN
         self._relief = ReliefOdometry(self.camera, uneven) if self.config.motion != "rotation" else None
 
     @property
@@ -168,7 +169,7 @@ class Tracker:
         if self._motion.status not in (Status.LOST, Status.RELOCALIZING):
             wanted_px = c.WINDOW_DISPLACEMENT * self.camera.width
             if relief is not None or (self.config.motion != "planar" and self._is_undecided):
-                wanted_px = c.RELIEF_DISPLACEMENT_PX
+                wanted_px = rc.RELIEF_DISPLACEMENT_PX
             moved_px = images.displacement_px if relief is None else relief.live_map.displacement_px
             self._motion.resize(moved_px, wanted_px * self.stretch, self._most_events)
         else:
@@ -236,16 +237,16 @@ class Tracker:
             return ""
         straight = self.config.motion == "translation"
         told_only = self.config.motion == "planar" and self.config.mode != "map"
-        if not told_only and (straight or self._motion.good_score < c.RELIEF_TOLD_SCORE):
+        if not told_only and (straight or self._motion.good_score < rc.RELIEF_TOLD_SCORE):
             return self._begin_relief(relief, window, straight=straight)
-        if not relief.not_a_plane or len(relief.asked) > c.RELIEF_PATIENCE:
+        if not relief.not_a_plane or len(relief.asked) > rc.RELIEF_PATIENCE:
             relief.asked = []
         return note if self._is_uneven or not relief.not_a_plane else ""
 
     def _begin_relief(self, relief: ReliefOdometry, window: EventWindow, *, straight: bool) -> str:
         """Go on by a relief map where its landmarks, too, lie on no plane; return what is to be said."""
         planar = self.config.motion == "planar"
-        least = c.RELIEF_OFF_PLANE_STRAIGHT if straight else c.RELIEF_OFF_PLANE
+        least = rc.RELIEF_OFF_PLANE_STRAIGHT if straight else rc.RELIEF_OFF_PLANE
         first = relief.asked[0].window
         T = next((t.T_world_camera for t in self._mapper.traces if t.window == first and first > 0), np.eye(4))
         if not relief.begin(T, may_turn=not straight, least=least):
@@ -284,7 +285,7 @@ class Tracker:
         if self._relief is None or not self._relief.not_a_plane:
             return False
         # Where it is only told, small windows show little of a depth: the map must not fit well either.
-        return self.config.motion != "planar" or self._motion.good_score < c.RELIEF_TOLD_SCORE
+        return self.config.motion != "planar" or self._motion.good_score < rc.RELIEF_TOLD_SCORE
 
     def place(self, T_world_camera: Array) -> None:
         """Start the next window from a given pose, as after a loss: weak until the map agrees.

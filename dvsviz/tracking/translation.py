@@ -19,7 +19,7 @@ from dvsviz.events.recording import EventSource
 from dvsviz.events.windows import EventWindow, make_window
 from dvsviz.geometry import se3
 from dvsviz.geometry.camera import Camera
-from dvsviz.tracking import constants as c
+from dvsviz.tracking import relief_constants as rc
 from dvsviz.tracking.relief_align import Moving, Sample, between
 from dvsviz.tracking.relief_map import ReliefMap
 from dvsviz.tracking.relief_planarity import deviation_of_landmarks
@@ -86,7 +86,7 @@ class ReliefOdometry:
         path: windows that were tracked by it.
     """
 
-    def __init__(self, camera: Camera, uneven: float = c.RELIEF_UNEVEN) -> None:
+    def __init__(self, camera: Camera, uneven: float = rc.RELIEF_UNEVEN) -> None:
         self.camera = camera
         self.uneven = uneven
         self.velocity: Array = np.zeros(3)
@@ -104,12 +104,12 @@ class ReliefOdometry:
     @property
     def is_asked(self) -> bool:
         """True while it is undecided whether the scene is a plane; after a while nobody asks any more."""
-        return self.not_a_plane is None and self.windows < c.RELIEF_PATIENCE
+        return self.not_a_plane is None and self.windows < rc.RELIEF_PATIENCE
 
     @property
     def is_sharp(self) -> bool:
         """True where the last window shows the motion that the map gives it, or the camera stands still."""
-        return self.map is None or self.map.gain > c.RELIEF_GAIN or self.map.displacement_px < c.RELIEF_STILL_PX
+        return self.map is None or self.map.gain > rc.RELIEF_GAIN or self.map.displacement_px < rc.RELIEF_STILL_PX
 
     def look(self, window: EventWindow) -> str:
         """Ask a window for depth; return what it decided about the scene, or ""."""
@@ -117,7 +117,7 @@ class ReliefOdometry:
         # The pose moves on by the mean of two velocities, from middle to middle; a gap is not bridged.
         mid_us = window.start_us + (window.end_us - window.start_us) // 2
         if self.windows > 1:
-            dt = min((mid_us - self.mid_us) * 1e-6, c.RELIEF_GAP_S)
+            dt = min((mid_us - self.mid_us) * 1e-6, rc.RELIEF_GAP_S)
             self.T_world_camera = se3.propagate(
                 self.T_world_camera, np.zeros(3), 0.5 * (before + self.velocity), dt
             )
@@ -165,7 +165,7 @@ class ReliefOdometry:
             may_turn: the camera may turn: what turning explains is no depth.
             least: deviation of the landmarks' motion from a plane's from which it is taken; else it is dropped.
         """
-        first = next((k for k, a in enumerate(self.asked) if k and a.moved_px >= c.RELIEF_MOVED_PX), 0)
+        first = next((k for k, a in enumerate(self.asked) if k and a.moved_px >= rc.RELIEF_MOVED_PX), 0)
         self.map, self.path = ReliefMap(self.camera, _FREE), []
         self.map.T_world_map = T_world_first
         self.map.begin(self.asked[first].sample, self.asked[first].velocity)
@@ -313,7 +313,7 @@ class ReliefOdometry:
 
     def step(self, window: EventWindow) -> Relief:
         """Return the translation and relief of a window, referred to its middle."""
-        stride = max(1, len(window) // c.RELIEF_EVENTS)
+        stride = max(1, len(window) // rc.RELIEF_EVENTS)
         problem = ReliefProblem(
             window.bearings[::stride],
             window.t_s[::stride] - 0.5 * window.duration_s,
@@ -323,30 +323,30 @@ class ReliefOdometry:
         first = self.windows == 0
         mid_us = window.start_us + (window.end_us - window.start_us) // 2
         if not first:
-            self.relief = self._moved(min((mid_us - self.mid_us) * 1e-6, c.RELIEF_GAP_S))
+            self.relief = self._moved(min((mid_us - self.mid_us) * 1e-6, rc.RELIEF_GAP_S))
         solved = maximize_relief_contrast(
             problem,
             window.duration_s,
             velocity=self.velocity,
             log_inverse_depth=self.relief,
             prior=None if first else self.relief,
-            blurs_px=c.RELIEF_BLURS_START_PX if first else c.RELIEF_BLURS_PX,
-            max_evaluations=c.RELIEF_EVALUATIONS,
+            blurs_px=rc.RELIEF_BLURS_START_PX if first else rc.RELIEF_BLURS_PX,
+            max_evaluations=rc.RELIEF_EVALUATIONS,
         )
         self.velocity, self.relief = solved.velocity, solved.log_inverse_depth
         self.windows += 1
         speed = float(np.hypot(*solved.velocity[:2])) * self.camera.fx
-        if speed * window.duration_s >= 0.5 * c.RELIEF_DISPLACEMENT_PX:
+        if speed * window.duration_s >= 0.5 * rc.RELIEF_DISPLACEMENT_PX:
             # A window with less motion shows no depth, and counts for neither side.
             self.seen += 1
             # A depth that is there grows out of the plane step by step; one that jumps is events drawn together.
             found = deviation_from_plane(self.relief)
-            if found < self.unevenness + c.RELIEF_JUMP:
+            if found < self.unevenness + rc.RELIEF_JUMP:
                 self.unevenness = max(self.unevenness, found)
         # A relief grows out of a plane over some windows; a plane never becomes one.
-        if self.not_a_plane is None and self.seen >= c.RELIEF_WINDOWS_MIN and self.unevenness > self.uneven:
+        if self.not_a_plane is None and self.seen >= rc.RELIEF_WINDOWS_MIN and self.unevenness > self.uneven:
             self.not_a_plane = True
-        elif self.not_a_plane is None and self.seen >= c.RELIEF_WINDOWS:
+        elif self.not_a_plane is None and self.seen >= rc.RELIEF_WINDOWS:
             self.not_a_plane = False
         return solved
 
@@ -369,7 +369,7 @@ def _at_starts(path: Sequence[Passed]) -> list[Array]:
     for k, p in enumerate(path):
         a, b = path[max(k - 1, 0)], path[min(k + 1, len(path) - 1)]
         dt, T = (b.mid_us - a.mid_us) * 1e-6, p.T_world_camera.copy()
-        if 0 < dt < 2 * c.RELIEF_GAP_S:
+        if 0 < dt < 2 * rc.RELIEF_GAP_S:
             T[:3, 3] -= (b.T_world_camera[:3, 3] - a.T_world_camera[:3, 3]) / dt * (p.mid_us - p.start_us) * 1e-6
         out.append(T)
     return out
