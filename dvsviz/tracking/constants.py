@@ -267,34 +267,6 @@ TEXTURE_EDGE_PIXELS: Final = 150
 # The same where a direction is not seen: a few stripes are texture, but only in one direction.
 STRIPES_EDGE_PIXELS: Final = 50
 
-# --- translation before a relief ----------------------------------------------------------------------------
-# Direction of travel on slider_depth: 0.5 degrees off with one blur of 2 px, 3.5 with 2 and 1 px.
-RELIEF_BLURS_START_PX: Final = (4.0, 2.0)
-RELIEF_BLURS_PX: Final = (2.0,)
-RELIEF_EVENTS: Final = 6_000
-RELIEF_EVALUATIONS: Final = 14
-# Windows with enough motion after which a scene can be called uneven, and after which it is called a plane. Largest
-# unevenness within 12 windows: 0.04 on planes, 0.05 with a wide lens, 0.07 before a camera that only turns, 0.09 on
-# slider_depth.
-RELIEF_WINDOWS_MIN: Final = 8
-RELIEF_WINDOWS: Final = 14
-RELIEF_UNEVEN: Final = 0.08
-# The same where it is only told: in planar mode windows are smaller (0.042 on slider_depth), and nothing is changed by
-# it; the running score must be below the second number then: 0.45 on slider_depth, 0.7 to 0.95 on planes, 0.57 on a
-# poster (uneven by 0.02 at most).
-RELIEF_UNEVEN_TOLD: Final = 0.04
-RELIEF_TOLD_SCORE: Final = 0.6
-# A larger step from one window to the next is events drawn together, not depth.
-RELIEF_JUMP: Final = 0.04
-# Windows after which nothing is decided any more: too little motion.
-RELIEF_PATIENCE: Final = 60
-# Longest time between two windows that a velocity is carried across, s.
-RELIEF_GAP_S: Final = 0.2
-# Image displacement a window should cover, px, where there is no map to align with.
-RELIEF_DISPLACEMENT_PX: Final = 5.0
-# Contrast by contrast without motion below which a window says nothing.
-RELIEF_GAIN: Final = 1.03
-
 # A camera is placed by hand within so many plane distances of the first one.
 PLACE_MOST: Final = 1e3
 

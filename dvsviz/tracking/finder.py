@@ -315,7 +315,7 @@ class PoseFinder:
         sampled: tuple[NDArray[np.float32], Array],
         mid_us: int,
     ) -> Trace:
-        """Return the window moved on by the relief's velocity: odometry, no reference to come back to."""
+        """Return the window where the relief map places it."""
         self.motion.omega, self.motion.velocity = np.zeros(3), relief.velocity
         return self.trace(window, sampled, mid_us, relief.T_world_camera)
 

@@ -25,7 +25,7 @@ def judge(
     trace: Trace,
     alignment: Alignment | None,
     images: WindowImages,
-    gain: float | None,
+    is_sharp: bool | None,
 ) -> diagnose.Judgement:
     """Return what the numbers say of a window, and move the status in `motion`.
 
@@ -36,12 +36,11 @@ def judge(
         trace: the window.
         alignment: how it was aligned with the map, if it was.
         images: the window's images.
-        gain: contrast by contrast without motion, where the pose is odometry without a map; else None.
+        is_sharp: whether its own motion makes it sharper, where the pose is that before a relief; else None.
     """
-    if gain is not None:
-        sharp = gain > c.RELIEF_GAIN
-        motion.status = Status.TRACKING if sharp else Status.WEAK
-        return replace(diagnose.Judgement.unknown(), is_trusted=True, confidence=0.5 if sharp else 0.1)
+    if is_sharp is not None:
+        motion.status = Status.TRACKING if is_sharp else Status.WEAK
+        return replace(diagnose.Judgement.unknown(), is_trusted=True, confidence=0.5 if is_sharp else 0.1)
     if alignment is None:
         if trace.keyframe == HELD and motion.status is Status.TRACKING:
             motion.status = Status.WEAK

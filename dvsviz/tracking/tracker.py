@@ -26,9 +26,10 @@ from dvsviz.events.recording import EventSource, Imu
 from dvsviz.events.windows import EventWindow
 from dvsviz.geometry import se3
 from dvsviz.geometry.camera import Camera
-from dvsviz.session.records import Status, TrackerUpdates, WindowResult
+from dvsviz.session.records import Cause, Failure, Status, TrackerUpdates, WindowResult
 from dvsviz.tracking import constants as c
 from dvsviz.tracking import diagnose
+from dvsviz.tracking import relief_constants as rc
 from dvsviz.tracking.align import free_parameters
 from dvsviz.tracking.failures import FailureWatch, cause_of
 from dvsviz.tracking.finder import PoseFinder
@@ -79,7 +80,7 @@ class Tracker:
             gyro=self._gyro,
         )
         # A camera that only turns sees no depth.
-        uneven = c.RELIEF_UNEVEN_TOLD if self.config.motion == "planar" else c.RELIEF_UNEVEN
+        uneven = rc.RELIEF_UNEVEN_TOLD if self.config.motion == "planar" else rc.RELIEF_UNEVEN
         self._relief = ReliefOdometry(self.camera, uneven) if self.config.motion != "rotation" else None
 
     @property
@@ -101,18 +102,14 @@ class Tracker:
     def step(self, window: EventWindow) -> WindowResult:
         """Return the result of one window; windows are given in order, each once."""
         clock = time.perf_counter()
-        recorded = len(window)
-        window, alike = without_noise(window, *self._sensor)
+        recorded = window
+        window, alike = without_noise(recorded, *self._sensor)
         is_noise = alike < c.NOISE_ALIKE
         sampled = sample_window(window, c.TRACE_EVENTS, self.config.seed)
         mid_us = window.start_us + (window.end_us - window.start_us) // 2
-        note, was = "", self._motion.status
-        if self._relief is not None and (self._asks_relief or self._drifts) and not is_noise:
-            note = self._relief.look(window)
-            if self._relief.not_a_plane and not self._is_uneven:
-                note = ""
-            if note and self._drifts:
-                self._mapper.tell_refined(self._relief.poses)
+        was = self._motion.status
+        # What is far moves little and fires alone: depth is asked of all events.
+        note = "" if is_noise else self._look_for_depth(recorded)
         relief = self._relief if self._drifts else None
         if relief is not None:
             trace, alignment = self._finder.drift(relief, window, sampled, mid_us), None
@@ -124,7 +121,7 @@ class Tracker:
             trace, alignment, note = self._finder.search(window, sampled, mid_us, is_noise=is_noise)
         else:
             trace, alignment = self._finder.follow(window, sampled, mid_us)
-        trace = replace(trace, events=recorded, heard=len(window) / recorded)
+        trace = replace(trace, events=len(recorded), heard=len(window) / len(recorded))
         images = measure(self.camera, self._mapper.plane, window, trace)
         bridged = self._finder.bridge(trace, alignment, images)
         if bridged is not None:
@@ -137,7 +134,7 @@ class Tracker:
                 trace,
                 alignment,
                 images,
-                None if relief is None else relief.gain,
+                None if relief is None else relief.is_sharp,
             )
             doubted = self._finder.learn_bias(trace, was)
             if doubted:
@@ -184,14 +181,16 @@ class Tracker:
         is_lost = self._motion.status in (Status.LOST, Status.RELOCALIZING)
         if not is_lost and not is_noise:
             wanted_px = c.WINDOW_DISPLACEMENT * self.camera.width
-            clear = self._motion.status in (Status.TRACKING, Status.INITIALIZING)
+            # A window with less motion would not show depth.
+            clear = self._motion.status in (Status.TRACKING, Status.INITIALIZING) and not self._is_undecided
             if clear and images.edge_pixels >= c.WINDOW_EDGE_PIXELS:
                 speed = images.displacement_px / max(window.duration_s, 1e-6)
                 least_px = c.WINDOW_DISPLACEMENT_LEAST * self.camera.width
                 wanted_px = min(wanted_px, max(least_px, speed * c.WINDOW_SECONDS))
             if relief is not None or (self.config.motion != "planar" and self._is_undecided):
-                wanted_px = c.RELIEF_DISPLACEMENT_PX
-            self._motion.resize(images.displacement_px, wanted_px * self.stretch, self._most_events)
+                wanted_px = rc.RELIEF_DISPLACEMENT_PX
+            moved_px = images.displacement_px if relief is None else relief.live_map.displacement_px
+            self._motion.resize(moved_px, wanted_px * self.stretch, self._most_events)
         elif is_lost:
             # What was believed of the motion before the loss made the windows too small to be found by.
             self._motion.size = max(self._motion.size, float(c.WINDOW_EVENTS_START))
@@ -202,7 +201,7 @@ class Tracker:
             start_us=window.start_us,
             end_us=window.end_us,
             first_event=window.first_event,
-            end_event=window.first_event + recorded,
+            end_event=recorded.end_event,
             status=self._motion.status,
             T_world_camera=trace.T_world_start,
             omega=trace.omega,
@@ -232,8 +231,55 @@ class Tracker:
         failed = self._failures.finish()
         if failed is not None:
             self._mapper.tell(failed)
+        if self._relief is not None and self._drifts:
+            self._mapper.tell_refined(self._relief.poses())
         self._mapper.finish(refine=not self._drifts)
         return self._mapper.take_updates()
+
+    def _look_for_depth(self, window: EventWindow) -> str:
+        """Ask a window whether the scene is a plane, or track it by the relief map; return what was decided, or ""."""
+        relief = self._relief
+        if relief is None:
+            return ""
+        if relief.map is not None:
+            relief.follow(window)
+            return ""
+        if self._asks_relief:
+            note = relief.look(window)
+        elif relief.not_a_plane and relief.asked:
+            # Before a plane's map is found not to fit.
+            relief.keep(window, 0.0)
+            note = f"the scene is not a plane: {relief.percent}"
+        else:
+            return ""
+        if relief.not_a_plane is None:
+            return ""
+        straight = self.config.motion == "translation"
+        told_only = self.config.motion == "planar" and self.config.mode != "map"
+        if not told_only and (straight or self._motion.good_score < rc.RELIEF_TOLD_SCORE):
+            return self._begin_relief(relief, window, straight=straight)
+        if not relief.not_a_plane or len(relief.asked) > rc.RELIEF_PATIENCE:
+            relief.asked = []
+        return note if self._is_uneven or not relief.not_a_plane else ""
+
+    def _begin_relief(self, relief: ReliefOdometry, window: EventWindow, *, straight: bool) -> str:
+        """Go on by a relief map where its landmarks, too, lie on no plane; return what is to be said."""
+        planar = self.config.motion == "planar"
+        least = rc.RELIEF_OFF_PLANE_STRAIGHT if straight else rc.RELIEF_OFF_PLANE
+        first = relief.asked[0].window
+        T = next((t.T_world_camera for t in self._mapper.traces if t.window == first and first > 0), np.eye(4))
+        if not relief.begin(T, may_turn=not straight, least=least):
+            relief.not_a_plane, relief.asked = False, []
+            return f"the scene is a plane: {relief.percent}"
+        self._mapper.tell_refined(relief.poses())
+        note = f"the scene is not a plane: {relief.percent}"
+        if not planar:
+            return note
+        text = f"{note}; tracked on a relief from here on, as a camera that does not turn"
+        self._mapper.tell(
+            Failure(cause=Cause.NOT_PLANAR, start=first, end=window.index + 1, worst=window.index, message=text)
+        )
+        return text
 
     @property
     def _asks_relief(self) -> bool:
@@ -247,7 +293,7 @@ class Tracker:
     @property
     def _drifts(self) -> bool:
         """True where the scene was found to be no plane: poses are odometry, without a map to come back to."""
-        return self._is_uneven and self.config.motion in ("translation", "auto")
+        return self._relief is not None and self._relief.map is not None
 
     @property
     def _is_undecided(self) -> bool:
@@ -258,7 +304,7 @@ class Tracker:
         if self._relief is None or not self._relief.not_a_plane:
             return False
         # Where it is only told, small windows show little of a depth: the map must not fit well either.
-        return self.config.motion != "planar" or self._motion.good_score < c.RELIEF_TOLD_SCORE
+        return self.config.motion != "planar" or self._motion.good_score < rc.RELIEF_TOLD_SCORE
 
     def place(self, T_world_camera: Array) -> None:
         """Start the next window from a given pose, as after a loss: weak until the map agrees.
@@ -323,5 +369,5 @@ class Tracker:
         tracker._finder.motion = tracker._motion
         # A branch may go on as another motion than the one that was stored.
         if tracker._relief is not None and "relief" in state:
-            tracker._relief.unpack(state)
+            tracker._relief.unpack(state, camera, source)
         return tracker
