@@ -52,6 +52,21 @@ LINE_YOUNG: Final = 0.2
 # A step below this image displacement, px, ends a level.
 ALIGN_STEP_PX: Final = 0.02
 
+# --- noise --------------------------------------------------------------------------------------------------
+# Events of the eight neighbours that an event needs, by those of its own pixel: edges have two to five times as many.
+NOISE_COMPANY: Final = 0.5
+# Correlation of neighbouring pixels' counts below which a window shows noise alone: at most 0.02 on noise of 0.3 to 5
+# events a pixel and second, hot pixels among them, and on a flash; at least 0.2 on shapes and photographs in it.
+NOISE_ALIKE: Final = 0.08
+# The same that the first window needs where noise came before it, as it holds all others, and windows after which it is
+# no longer waited for: 0.2 to 0.5 in noise of 5 events a pixel and second, at least 0.4 in that of 1.
+NOISE_START_ALIKE: Final = 0.4
+NOISE_START_WINDOWS: Final = 10
+# Image displacement in the longest window, as a share of the width, below which a camera that then shows noise alone
+# has come to rest: 6 px of 240 in 100 ms; 4 px are left where it brakes over half a second, 9 and more where a hand
+# covers the lens.
+NOISE_STILL: Final = 6.0 / 240
+
 # --- map ----------------------------------------------------------------------------------------------------
 # Saturation k of M = 1 - exp(-k rate / p90). 8 s of shapes, online error: 0.7 lost its hold (1.3 %), 1.0 0.42 %,
 # 1.4 0.52 %, 2 0.78 %, 4 1.5 %.

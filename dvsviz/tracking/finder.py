@@ -93,6 +93,7 @@ class PoseFinder:
 
     def start(self, window: EventWindow, sampled: tuple[NDArray[np.float32], Array], mid_us: int) -> Trace:
         """Return the first window's trace: its pose is the identity, its motion found by contrast alone."""
+        self.motion.searches = 0
         solution = self.contrast(window)
         mid_s = (mid_us - window.start_us) * 1e-6
         T = se3.propagate(np.eye(4), solution.omega, solution.velocity, mid_s)
@@ -100,6 +101,36 @@ class PoseFinder:
         self.motion.omega, self.motion.velocity = solution.omega, R_mid_start @ solution.velocity
         self.mapper.begin(Plane(normal=solution.normal))
         return self.trace(window, sampled, mid_us, T)
+
+    def wait(self, window: EventWindow, sampled: tuple[NDArray[np.float32], Array], mid_us: int) -> Trace:
+        """Return a window that shows noise alone where the camera was last: it stands still."""
+        self.motion.omega, self.motion.velocity = np.zeros(3), np.zeros(3)
+        self.motion.filter.forget()
+        if self.mapper.map is None:
+            self.mapper.begin(self.mapper.plane)
+        return replace(self.trace(window, sampled, mid_us, self.motion.T_world_camera), keyframe=HELD)
+
+    def waits(self, alike: float) -> bool:
+        """Return whether a window tells nothing of a camera that stands still.
+
+        Before the first pose also one that, after noise, tells too little to hold all others.
+
+        Args:
+            alike: correlation of the window's neighbouring pixels.
+        """
+        if self.motion.status in (Status.LOST, Status.RELOCALIZING):
+            return False
+        if not self.mapper.traces:
+            if alike < c.NOISE_ALIKE:
+                self.motion.searches = max(1, self.motion.searches)
+                return True
+            if self.motion.searches == 0 or alike >= c.NOISE_START_ALIKE:
+                return False
+            self.motion.searches += 1
+            return self.motion.searches <= c.NOISE_START_WINDOWS
+        speed = float(np.linalg.norm(self.motion.omega) + np.linalg.norm(self.motion.velocity))
+        moved_px = speed * 1e-3 * self.config.max_window_ms * self.camera.focal_px
+        return alike < c.NOISE_ALIKE and moved_px < c.NOISE_STILL * self.camera.width
 
     def follow(
         self, window: EventWindow, sampled: tuple[NDArray[np.float32], Array], mid_us: int
@@ -290,9 +321,14 @@ class PoseFinder:
         return self.trace(window, sampled, mid_us, relief.T_world_camera)
 
     def search(
-        self, window: EventWindow, sampled: tuple[NDArray[np.float32], Array], mid_us: int
+        self,
+        window: EventWindow,
+        sampled: tuple[NDArray[np.float32], Array],
+        mid_us: int,
+        *,
+        is_noise: bool = False,
     ) -> tuple[Trace, Alignment | None, str]:
-        """Return the window placed by relocalization, or where it was last seen."""
+        """Return the window placed by relocalization, or where it was last seen; noise alone is not searched for."""
         self.motion.status = Status.LOST
         self.motion.filter.forget()
         # Where nothing was seen the pose was only carried on: what is believed is where it was last trusted.
@@ -304,7 +340,8 @@ class PoseFinder:
         self.motion.searches += 1
         self.motion.omega, self.motion.velocity = np.zeros(3), np.zeros(3)
         trace = self.trace(window, sampled, mid_us, self.motion.T_world_camera)
-        if measure(self.camera, self.mapper.plane, window, trace).edge_pixels < c.STRIPES_EDGE_PIXELS:
+        edges = measure(self.camera, self.mapper.plane, window, trace).edge_pixels
+        if is_noise or edges < c.STRIPES_EDGE_PIXELS:
             # A covered lens shows noise: whatever it lay on would be chance.
             return trace, None, ""
         solution = self.contrast(window)

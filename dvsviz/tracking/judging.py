@@ -15,7 +15,7 @@ from dvsviz.tracking.failures import cause_of
 from dvsviz.tracking.mapping import Mapper
 from dvsviz.tracking.measure import WindowImages
 from dvsviz.tracking.state import Motion
-from dvsviz.tracking.traces import Trace
+from dvsviz.tracking.traces import HELD, Trace
 
 
 def judge(
@@ -43,6 +43,8 @@ def judge(
         motion.status = Status.TRACKING if sharp else Status.WEAK
         return replace(diagnose.Judgement.unknown(), is_trusted=True, confidence=0.5 if sharp else 0.1)
     if alignment is None:
+        if trace.keyframe == HELD and motion.status is Status.TRACKING:
+            motion.status = Status.WEAK
         return diagnose.Judgement.unknown()
     agreed = diagnose.agreement(mapper.live_map, alignment.value, trace.T_world_camera, mapper.camera)
     condition, weak = diagnose.weakest(alignment.information, free)

@@ -19,6 +19,7 @@ from dvsviz.geometry.plane import Plane
 from dvsviz.session.records import STATUSES, Keyframe, Status
 from dvsviz.tracking import constants as c
 from dvsviz.tracking.mapping import Mapper
+from dvsviz.tracking.noise import without_noise
 from dvsviz.tracking.planar_map import PlanarMap
 from dvsviz.tracking.prediction import MotionFilter
 from dvsviz.tracking.traces import Trace
@@ -59,7 +60,8 @@ class Motion:
         bad_windows: bad windows in a row.
         good_score: running score of good windows.
         size: events wanted for the next window.
-        searches: relocalizations tried since it was lost.
+        searches: relocalizations tried since it was lost; before the first pose, windows after noise that showed too
+            little for it.
         filter: how sure pose and velocity are.
     """
 
@@ -263,7 +265,8 @@ def _trace(integers: np.ndarray, T: Array, speeds: Array, camera: Camera, seed: 
         first_event=first,
         end_us=start_us + duration_us,
     )
-    bearings, t_s = sample_window(events, c.TRACE_EVENTS if keyframe < 0 else c.KEYFRAME_EVENTS, seed)
+    heard, _ = without_noise(events, camera.width, camera.height)
+    bearings, t_s = sample_window(heard, c.TRACE_EVENTS if keyframe < 0 else c.KEYFRAME_EVENTS, seed)
     return Trace(
         window=window,
         first_event=first,
@@ -276,6 +279,7 @@ def _trace(integers: np.ndarray, T: Array, speeds: Array, camera: Camera, seed: 
         bearings=bearings,
         t_s=t_s,
         events=count,
+        heard=len(heard) / count,
         keyframe=keyframe,
         is_trusted=bool(trusted),
     )

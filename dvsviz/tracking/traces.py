@@ -42,6 +42,7 @@ class Trace:
         bearings: sampled events (N, 2) float32.
         t_s: their times (N,) since `start_us`.
         events: how many events the window had: what the sample stands for.
+        heard: share of them that were no noise.
         keyframe: its keyframe number, or -1; `HELD` where it said nothing and its pose must not be asked of its events.
         is_trusted: True where it may write to the map.
     """
@@ -57,6 +58,7 @@ class Trace:
     bearings: NDArray[np.float32]
     t_s: Array
     events: int
+    heard: float = 1.0
     keyframe: int = -1
     is_trusted: bool = True
 
@@ -162,7 +164,7 @@ def window_poses(traces: Sequence[Trace]) -> list[tuple[int, Array]]:
 
 
 def add_to_map(planar_map: PlanarMap, trace: Trace, sensor: tuple[int, int], K: Array) -> None:
-    """Add a trace's events to the map, each standing for `events / len(bearings)` events.
+    """Add a trace's events to the map, each standing for `heard * events / len(bearings)` events.
 
     Args:
         planar_map: grown where needed.
@@ -177,4 +179,6 @@ def add_to_map(planar_map: PlanarMap, trace: Trace, sensor: tuple[int, int], K: 
     if np.isnan(low[0]):
         return
     planar_map.cover(low, high)
-    planar_map.add(uv, warp.nodes[0], warp.nodes[-1], sensor, K, weight=trace.events / max(1, len(uv)))
+    planar_map.add(
+        uv, warp.nodes[0], warp.nodes[-1], sensor, K, weight=trace.heard * trace.events / max(1, len(uv))
+    )

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +36,9 @@ from dvsviz.tracking.gyro import Gyro
 from dvsviz.tracking.judging import judge
 from dvsviz.tracking.keyframe_map import mapper_of
 from dvsviz.tracking.measure import measure
+from dvsviz.tracking.noise import without_noise
 from dvsviz.tracking.state import Motion, pack, unpack
+from dvsviz.tracking.traces import HELD
 from dvsviz.tracking.translation import ReliefOdometry
 
 Array = NDArray[np.float64]
@@ -56,6 +59,7 @@ class Tracker:
     def __init__(self, camera: Camera, config: TrackerConfig | None = None, imu: Imu | None = None) -> None:
         # Sharp lenses have pixels to spare: the tracker's images have as many as its accuracy can use.
         self.camera = camera.reduced(c.FOCAL_PX)
+        self._sensor = (camera.width, camera.height)
         self._most_events = round(c.WINDOW_EVENTS_MAX * max(1.0, camera.width * camera.height / c.WINDOW_PIXELS))
         self.config = config or TrackerConfig()
         self._free = free_parameters(self.config.motion)
@@ -97,10 +101,13 @@ class Tracker:
     def step(self, window: EventWindow) -> WindowResult:
         """Return the result of one window; windows are given in order, each once."""
         clock = time.perf_counter()
+        recorded = len(window)
+        window, alike = without_noise(window, *self._sensor)
+        is_noise = alike < c.NOISE_ALIKE
         sampled = sample_window(window, c.TRACE_EVENTS, self.config.seed)
         mid_us = window.start_us + (window.end_us - window.start_us) // 2
         note, was = "", self._motion.status
-        if self._relief is not None and (self._asks_relief or self._drifts):
+        if self._relief is not None and (self._asks_relief or self._drifts) and not is_noise:
             note = self._relief.look(window)
             if self._relief.not_a_plane and not self._is_uneven:
                 note = ""
@@ -109,12 +116,15 @@ class Tracker:
         relief = self._relief if self._drifts else None
         if relief is not None:
             trace, alignment = self._finder.drift(relief, window, sampled, mid_us), None
-        elif self._mapper.map is None:
+        elif self._finder.waits(alike):
+            trace, alignment = self._finder.wait(window, sampled, mid_us), None
+        elif self._mapper.map is None or self._mapper.map.adds == 0:
             trace, alignment = self._finder.start(window, sampled, mid_us), None
         elif self._motion.status in (Status.LOST, Status.RELOCALIZING):
-            trace, alignment, note = self._finder.search(window, sampled, mid_us)
+            trace, alignment, note = self._finder.search(window, sampled, mid_us, is_noise=is_noise)
         else:
             trace, alignment = self._finder.follow(window, sampled, mid_us)
+        trace = replace(trace, events=recorded, heard=len(window) / recorded)
         images = measure(self.camera, self._mapper.plane, window, trace)
         bridged = self._finder.bridge(trace, alignment, images)
         if bridged is not None:
@@ -147,14 +157,15 @@ class Tracker:
         if note and self._motion.status is Status.LOST and self._failures.is_unexplained:
             self._failures.look_closer(trace, self._finder.contrast(window), self.camera.focal_px)
         keyframe = -1
-        if judged.is_trusted or (alignment is None and self._motion.status is Status.INITIALIZING):
+        waits = trace.keyframe == HELD
+        if judged.is_trusted or (alignment is None and self._motion.status is Status.INITIALIZING and not waits):
             keyframe = self._mapper.add(
                 trace,
                 images.warped,
                 overlap,
                 lambda: sample_window(window, c.KEYFRAME_EVENTS, self.config.seed),
             )
-        elif self._motion.status is Status.WEAK:
+        elif self._motion.status is Status.WEAK or (waits and self._mapper.traces):
             self._mapper.remember(trace)
         if relief is None:
             before = trace
@@ -170,12 +181,13 @@ class Tracker:
                 trace.velocity,
             )
             self._motion.t_us = mid_us
-        if self._motion.status not in (Status.LOST, Status.RELOCALIZING):
+        is_lost = self._motion.status in (Status.LOST, Status.RELOCALIZING)
+        if not is_lost and not is_noise:
             wanted_px = c.WINDOW_DISPLACEMENT * self.camera.width
             if relief is not None or (self.config.motion != "planar" and self._is_undecided):
                 wanted_px = c.RELIEF_DISPLACEMENT_PX
             self._motion.resize(images.displacement_px, wanted_px * self.stretch, self._most_events)
-        else:
+        elif is_lost:
             # What was believed of the motion before the loss made the windows too small to be found by.
             self._motion.size = max(self._motion.size, float(c.WINDOW_EVENTS_START))
         if note:
@@ -185,7 +197,7 @@ class Tracker:
             start_us=window.start_us,
             end_us=window.end_us,
             first_event=window.first_event,
-            end_event=window.end_event,
+            end_event=window.first_event + recorded,
             status=self._motion.status,
             T_world_camera=trace.T_world_start,
             omega=trace.omega,
