@@ -73,8 +73,9 @@ class Refinement:
 
     @property
     def accepted(self) -> bool:
-        """True where the held-out disagreement fell."""
-        return self.after_px < self.before_px
+        """True where the held-out disagreement fell; where windows are few, where it hardly rose."""
+        worse = c.REFINE_EARLY_WORSE if len(self.Ts_world_camera) < c.REFINE_EARLY_VIEWS else 1.0
+        return self.after_px < worse * self.before_px
 
 
 def refine(
@@ -99,7 +100,7 @@ def refine(
         free: mask (6,) of rotation and position to refine.
         solve_normal: also refine the normal.
         held: how many of the first views keep their pose (at least 1, the gauge).
-        rounds: association and solving, repeated.
+        rounds: association and solving, repeated; more often where the views are few.
         faces: of a panorama: the planes on which edges are looked for instead, all poses solved together; the normal is
             then not refined.
         rounds_with_all: more rounds, with the events that were held out too, once they have judged the result.
@@ -111,18 +112,22 @@ def refine(
     start = (Ts, plane, SmoothMotion.between(np.array([v.t_s for v in views]), Ts))
     before = disagreement(test, Ts, plane, px_per_unit, faces)
     # The gate closes over the first rounds; the rest converge with it closed.
-    gates = np.geomspace(c.REFINE_GATE_START_PX, c.REFINE_GATE_END_PX, 4)
+    closing = 4
+    if len(views) < c.REFINE_EARLY_VIEWS:
+        rounds *= c.REFINE_EARLY_ROUNDS
+        closing = max(closing, rounds // 2)
+    gates = np.geomspace(c.REFINE_GATE_START_PX, c.REFINE_GATE_END_PX, closing)
     residual, landmarks, done = float("nan"), 0, 0
     for i in range(rounds):
         if stop is not None and stop():
             break
-        gate = float(gates[min(i, 3)])
+        gate = float(gates[min(i, closing - 1)])
         step = _round(train, Ts, plane, start, px_per_unit, gate, free, solve_normal, held, faces)
         if step is None:
             break
         Ts, plane, residual, landmarks, size = step
         done += 1
-        if i >= 4 and size < c.REFINE_STEP:
+        if i >= closing and size < c.REFINE_STEP:
             break
     after = disagreement(test, Ts, plane, px_per_unit, faces)
     everything = [v.bearings for v in views]
