@@ -111,6 +111,7 @@ def test_a_camera_that_stands_still_in_noise_stays_where_it_is(tmp_path: Path) -
             assert np.array_equal(r.T_world_camera, np.eye(4))
     held = [r for r, is_between in zip(results, between, strict=True) if is_between]
     assert all(r.status is Status.WEAK for r in held)
-    assert np.ptp([r.T_world_camera[:3, 3] for r in held], axis=0).max() < 0.003
+    # A refinement may land meanwhile.
+    assert np.ptp([r.T_world_camera[:3, 3] for r in held], axis=0).max() < 0.015
     assert not any(r.status in (Status.LOST, Status.RELOCALIZING) for r in results)
     assert results[-1].status is Status.TRACKING

@@ -5,6 +5,7 @@ import pytest
 
 from dvsviz.geometry import se3
 from dvsviz.geometry.plane import Plane, homography_map_camera, rotation_to_map, turn_normal, turn_normal_derivative
+from dvsviz.tracking import constants as c
 from dvsviz.tracking.align import free_parameters
 from dvsviz.tracking.edges import ViewEvents
 from dvsviz.tracking.refine import View, disagreement, refine
@@ -117,3 +118,25 @@ def test_a_steep_plane_is_not_refused_for_the_size_of_its_map() -> None:
     on_steep = disagreement(ViewEvents.of(bearings), truths, steep, FOCAL_PX)
     flat = [seen(points, T, ahead, rng, 0.7) for T in truths]
     assert on_steep == pytest.approx(disagreement(ViewEvents.of(flat), truths, ahead, FOCAL_PX), rel=0.15)
+
+
+def test_an_early_refinement_goes_on_until_the_plane_is_found() -> None:
+    """Dense edges at 20 degrees, taken for a plane straight ahead: six rounds leave it far off."""
+    rng = np.random.default_rng(4)
+    steep = tilted(20.0, 60.0)
+    points = edges(rng, 250)
+    truths = np.stack([path(k) for k in range(14)])
+    views = [
+        View(bearings=seen(points, T, steep, rng, 0.7), T_world_camera=T, t_s=0.05 * k)
+        for k, T in enumerate(truths)
+    ]
+
+    def off_deg(times: int) -> float:
+        rounds = c.REFINE_ROUNDS_LATER * times
+        closing = max(c.REFINE_CLOSING, rounds // 2)
+        found = refine(views, tilted(0.0, 0.0), FOCAL_PX, free=ALL, rounds=rounds, closing=closing)
+        return float(np.degrees(np.arccos(min(1.0, found.plane.normal @ steep.normal))))
+
+    many, few = off_deg(c.REFINE_EARLY_ROUNDS), off_deg(1)
+    assert few > 5.0
+    assert many < 2.0

@@ -119,6 +119,13 @@ OVERLAP_EDGE: Final = 0.3
 # Rounds of the last refinement and of the others; the gate closes over the first four.
 REFINE_ROUNDS: Final = 8
 REFINE_ROUNDS_LATER: Final = 6
+# Windows below which a refinement is an early one: the plane is still a guess, and few windows are soon refined. So
+# many times the rounds, and by how much more the result may disagree: what it is compared with was laid window by
+# window on the map of the same windows. A photograph at 35 degrees: lost at 12 % with 1 and 1, 0.9 % with these; at 45
+# degrees 0.42 and 0.29 %, as known then 3.0 and 1.4; low_texture 0.68 and 0.59.
+REFINE_EARLY_VIEWS: Final = 60
+REFINE_EARLY_ROUNDS: Final = 4
+REFINE_EARLY_WORSE: Final = 1.05
 # Rounds of the last one with all events: rotdisk's rate of roll is 0.80 instead of 0.91 deg/s off the gyroscope's.
 REFINE_ROUNDS_WITH_ALL: Final = 2
 # Iterations of conjugate gradients a round, and the residual, by that at the start, at which they end.
@@ -127,6 +134,8 @@ REFINE_TOLERANCE: Final = 1e-2
 # Events in a refinement, but for the last one: of 240 windows 5,000 each. With 600,000 shapes_6dof is at 0.23 instead
 # of 0.20 %, shake at 0.26 instead of 0.23; with all of them at 0.20 and 0.23.
 REFINE_EVENTS: Final = 1_200_000
+# Rounds over which the gate closes.
+REFINE_CLOSING: Final = 4
 # Gate on an event's distance to its edge, map px, first and last round.
 REFINE_GATE_START_PX: Final = 5.0
 REFINE_GATE_END_PX: Final = 2.0

@@ -35,7 +35,10 @@ def without_noise(window: EventWindow, width: int, height: int) -> tuple[EventWi
     """
     events = window.events
     keep = np.empty(len(window), dtype=np.int64)
-    kept, alike = find_company(events.x_px, events.y_px, width, height, c.NOISE_COMPANY, keep)
+    # A kernel is compiled for one kind of array, whoever made it.
+    x_px, y_px = events.x_px.view(), events.y_px.view()
+    x_px.flags.writeable = y_px.flags.writeable = False
+    kept, alike = find_company(x_px, y_px, width, height, c.NOISE_COMPANY, keep)
     if kept in (0, len(window)):
         return window, alike
     keep = keep[:kept]

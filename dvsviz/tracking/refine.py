@@ -72,8 +72,9 @@ class Refinement:
 
     @property
     def accepted(self) -> bool:
-        """True where the held-out disagreement fell."""
-        return self.after_px < self.before_px
+        """True where the held-out disagreement fell; where windows are few, where it hardly rose."""
+        worse = c.REFINE_EARLY_WORSE if len(self.Ts_world_camera) < c.REFINE_EARLY_VIEWS else 1.0
+        return self.after_px < worse * self.before_px
 
 
 def refine(
@@ -85,6 +86,7 @@ def refine(
     solve_normal: bool = True,
     held: int = 1,
     rounds: int = c.REFINE_ROUNDS,
+    closing: int = c.REFINE_CLOSING,
     faces: Sequence[Plane] = (),
     rounds_with_all: int = 0,
     is_anchored: bool = False,
@@ -101,6 +103,7 @@ def refine(
         solve_normal: also refine the normal.
         held: how many of the first views keep their pose (at least 1, the gauge).
         rounds: association and solving, repeated.
+        closing: rounds over which the gate closes; the rest converge with it closed.
         faces: of a panorama: the planes on which edges are looked for instead, all poses solved together; the normal is
             then not refined.
         rounds_with_all: more rounds, with the events that were held out too, once they have judged the result.
@@ -117,19 +120,18 @@ def refine(
     if is_anchored:
         start = replace(start, Ts_world_camera=np.tile(np.eye(4), (len(Ts), 1, 1)), deviation=c.SETTLE_PRIOR_POSE)
     before = disagreement(test, Ts, plane, px_per_unit, faces, halves)
-    # The gate closes over the first rounds; the rest converge with it closed.
-    gates = np.geomspace(c.REFINE_GATE_START_PX, c.REFINE_GATE_END_PX, 4)
+    gates = np.geomspace(c.REFINE_GATE_START_PX, c.REFINE_GATE_END_PX, closing)
     residual, landmarks, done = float("nan"), 0, 0
     for i in range(rounds):
         if stop is not None and stop():
             break
-        gate = float(gates[min(i, 3)])
+        gate = float(gates[min(i, closing - 1)])
         step = _round(train, Ts, plane, start, px_per_unit, gate, free, solve_normal, held, faces, halves)
         if step is None:
             break
         Ts, plane, residual, landmarks, size = step
         done += 1
-        if i >= 4 and size < c.REFINE_STEP:
+        if i >= closing and size < c.REFINE_STEP:
             break
     after = disagreement(test, Ts, plane, px_per_unit, faces, halves)
     everything = ViewEvents.of([v.bearings for v in views]) if rounds_with_all and after < before else train

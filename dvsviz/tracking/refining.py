@@ -127,13 +127,18 @@ class Refiner:
         planes = tuple(faces) or (plane,)
         chosen = self._chosen(traces, most)
         limit = sum(len(t.bearings) for t in chosen) if last else c.REFINE_EVENTS // len(chosen)
+        rounds, closing = c.REFINE_ROUNDS if last else c.REFINE_ROUNDS_LATER, c.REFINE_CLOSING
+        if len(chosen) < c.REFINE_EARLY_VIEWS:
+            rounds *= c.REFINE_EARLY_ROUNDS
+            closing = rounds // 2
         result = refine(
             [self._view(t, planes, traces[0].mid_us, limit) for t in chosen],
             planes[0],
             self.camera.focal_px,
             free=self.free,
             solve_normal=self.solve_normal,
-            rounds=c.REFINE_ROUNDS if last else c.REFINE_ROUNDS_LATER,
+            rounds=rounds,
+            closing=closing,
             faces=faces if len(faces) > 1 else (),
             rounds_with_all=c.REFINE_ROUNDS_WITH_ALL if last else 0,
             stop=dropped.is_set if dropped is not None else None,
