@@ -61,6 +61,9 @@ ALIGN_STEP_PX: Final = 0.02
 # --- noise --------------------------------------------------------------------------------------------------
 # Events of the eight neighbours that an event needs, by those of its own pixel: edges have two to five times as many.
 NOISE_COMPANY: Final = 0.5
+# Events that must be left; where fewer have company, all are kept: what is left of noise lies in clumps, which fit
+# anything. Where a wall is empty for a second the camera is 50 instead of 90 % off at most.
+NOISE_HEARD: Final = 500
 # Correlation of neighbouring pixels' counts below which a window shows noise alone: at most 0.02 on noise of 0.3 to 5
 # events a pixel and second, hot pixels among them, and on a flash; at least 0.2 on shapes and photographs in it.
 NOISE_ALIKE: Final = 0.08

@@ -30,7 +30,7 @@ def without_noise(window: EventWindow, width: int, height: int) -> tuple[EventWi
         height: sensor rows.
 
     Returns:
-        The window of the events that are kept, of the same time; all events where none would be. And the correlation of
+        The window of the events that are kept, of the same time; all events where few would be. And the correlation of
         the counts of neighbouring pixels: 0 for noise alone, at most 1.
     """
     events = window.events
@@ -39,7 +39,7 @@ def without_noise(window: EventWindow, width: int, height: int) -> tuple[EventWi
     x_px, y_px = events.x_px.view(), events.y_px.view()
     x_px.flags.writeable = y_px.flags.writeable = False
     kept, alike = find_company(x_px, y_px, width, height, c.NOISE_COMPANY, keep)
-    if kept in (0, len(window)):
+    if kept < c.NOISE_HEARD or kept == len(window):
         return window, alike
     keep = keep[:kept]
     bearings = np.ascontiguousarray(window.bearings).reshape(-1).view(np.int64).take(keep)
