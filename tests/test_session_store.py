@@ -119,13 +119,22 @@ def test_derived_columns(finished: Path) -> None:
     assert not columns["overlap"].flags.writeable
 
 
-def test_the_trajectory_leaves_lost_windows_out(finished: Path) -> None:
+def test_the_trajectory_leaves_lost_windows_out(finished: Path, tmp_path: Path) -> None:
+    """As known at the time; refined, those are in it too that a refinement gave a pose: in the sample, all of them."""
     session = open_session(finished)
     kept = [k for k in range(WINDOWS) if samples.status(k) not in ("lost", "relocalizing")]
-    for poses, rule in (("online", samples.pose), ("refined", lambda k: samples.refined_pose(k, WINDOWS))):
+    for poses, windows, rule in (
+        ("online", kept, samples.pose),
+        ("refined", range(WINDOWS), lambda k: samples.refined_pose(k, WINDOWS)),
+    ):
         trajectory = session.trajectory(poses)
-        np.testing.assert_array_equal(trajectory.t_us, [samples.result(k).start_us for k in kept])
-        np.testing.assert_array_equal(trajectory.Ts_world_camera, [rule(k) for k in kept])
+        np.testing.assert_array_equal(trajectory.t_us, [samples.result(k).start_us for k in windows])
+        np.testing.assert_array_equal(trajectory.Ts_world_camera, [rule(k) for k in windows])
+    with SessionWriter.create(tmp_path / "s.h5", samples.header()) as writer:
+        for k in range(WINDOWS):
+            writer.append(samples.result(k))
+    session = open_session(tmp_path / "s.h5")
+    np.testing.assert_array_equal(session.trajectory().t_us, [samples.result(k).start_us for k in kept])
     assert len(session.trajectory(drop_lost=False)) == WINDOWS
 
 

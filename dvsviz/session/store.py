@@ -205,7 +205,8 @@ class Session:
 
         Args:
             poses: as last refined or as known at the time.
-            drop_lost: leave out windows without a pose of their own: lost and relocalizing.
+            drop_lost: leave out windows without a pose of their own: lost and relocalizing, unless a refinement gave
+                them one afterwards, as where a second map was joined.
         """
         if poses not in ("refined", "online"):
             raise ValueError(f"poses: expected 'refined' or 'online', got {poses!r}")
@@ -213,7 +214,10 @@ class Session:
             t_us, Ts = self.column("start_us"), self.Ts_world_camera(refined=poses == "refined")
             keep = np.isfinite(Ts).all(axis=(1, 2))
             if drop_lost:
-                keep &= ~np.isin(self.column("status"), _NO_POSE)
+                lost = np.isin(self.column("status"), _NO_POSE)
+                if poses == "refined":
+                    lost[self._cache.rows(schema.REFINED_POSES)["window"]] = False
+                keep &= ~lost
         t_us, Ts = t_us[keep], Ts[keep]
         # Windows that start in the same microsecond are one moment of a trajectory: the first is it.
         first = np.ones(len(t_us), bool)

@@ -137,3 +137,27 @@ def kidnapped(rng: np.random.Generator, seconds: float, covered: tuple[tuple[flo
         return se3.pose(se3.exp_so3(phi) @ se3.exp_so3(turn(t)), base + hand(t))
 
     return motion
+
+
+def away_and_back(
+    rng: np.random.Generator,
+    covered: tuple[float, float],
+    back: tuple[float, float],
+    away: tuple[float, float, float] = (1.7, 0.2, -0.1),
+) -> Motion:
+    """Return a hand's motion that goes to another part of the wall while the lens is covered, and walks back.
+
+    Args:
+        rng: gives the path.
+        covered: (start, end) of the darkness, s.
+        back: when it walks back, s.
+        away: how far it goes, m.
+    """
+    hand = wobble(rng, [0.15, 0.12, 0.06], low_hz=0.2, high_hz=0.9, seconds=14)
+    turn = wobble(rng, np.radians([6, 7, 8]), low_hz=0.15, high_hz=0.8, seconds=14)
+
+    def position(t_s: Array) -> Array:
+        share = smooth_step(t_s, covered[0] + 0.1, covered[1] - 0.1) - smooth_step(t_s, *back)
+        return hand(t_s) + share[:, None] * np.array(away)
+
+    return free_motion(position, turn)

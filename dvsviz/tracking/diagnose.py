@@ -157,6 +157,13 @@ def stripes(planar_map: PlanarMap, T_world_camera: Array, camera: Camera) -> tup
     return share, np.array([-y, x, 0.0, x, y, 0.0]) / np.sqrt(2.0)
 
 
+def is_on_a_line(planar_map: PlanarMap, alignment: Alignment, camera: Camera, free: NDArray[np.bool_]) -> bool:
+    """Return whether a pose was found on one line, or one point, of the map: there anything fits."""
+    if weakest(alignment.information, free)[0] > c.WEAK_CONDITION:
+        return True
+    return bool(free[3:5].any()) and stripes(planar_map, alignment.T_world_camera, camera)[0] < c.STRIPES_SHARE
+
+
 def in_words(direction: Array) -> str:
     """Return a weak direction (6,) as words: "motion along x and rotation about y (yaw)"."""
     size = np.abs(direction)

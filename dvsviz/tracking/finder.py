@@ -319,6 +319,15 @@ class PoseFinder:
         self.motion.omega, self.motion.velocity = np.zeros(3), relief.velocity
         return self.trace(window, sampled, mid_us, relief.T_world_camera)
 
+    def lose(self) -> None:
+        """Take the camera as lost, where it was last seen."""
+        self.motion.status = Status.LOST
+        self.motion.filter.forget()
+        # Where nothing was seen the pose was only carried on: what is believed is where it was last trusted.
+        trusted = next((t for t in reversed(self.mapper.traces) if t.is_trusted), None)
+        if trusted is not None:
+            self.motion.T_world_camera = trusted.T_world_camera
+
     def search(
         self,
         window: EventWindow,
@@ -328,12 +337,7 @@ class PoseFinder:
         is_noise: bool = False,
     ) -> tuple[Trace, Alignment | None, str]:
         """Return the window placed by relocalization, or where it was last seen; noise alone is not searched for."""
-        self.motion.status = Status.LOST
-        self.motion.filter.forget()
-        # Where nothing was seen the pose was only carried on: what is believed is where it was last trusted.
-        trusted = next((t for t in reversed(self.mapper.traces) if t.is_trusted), None)
-        if trusted is not None:
-            self.motion.T_world_camera = trusted.T_world_camera
+        self.lose()
         if mid_us - self.motion.t_us < c.RELOCALIZE_EVERY_US * self.motion.searches:
             return self.trace(window, sampled, mid_us, self.motion.T_world_camera), None, ""
         self.motion.searches += 1
@@ -368,8 +372,8 @@ class PoseFinder:
             return trace, None, ""
         self.mapper.look(found.T_world_camera, may_close=False)
         alignment = self._align(sampled, mid_s, found.T_world_camera, self.motion.omega, self.motion.velocity, None)
-        if diagnose.weakest(alignment.information, self.free)[0] > c.WEAK_CONDITION:
-            # On one line, or one point, anything fits: a cover's edge that sweeps over the image.
+        if diagnose.is_on_a_line(planar_map, alignment, self.camera, self.free):
+            # There anything fits: on a cover's edge that sweeps over the image.
             return trace, None, ""
         since_s = (mid_us - self.motion.t_us) * 1e-6
         self.failures.found_again(self.motion.T_world_camera, alignment.T_world_camera, since_s)
@@ -382,3 +386,15 @@ class PoseFinder:
             alignment,
             f"relocalized: score {found.score:.2f}, next best {found.runner_up:.2f}",
         )
+
+    def take_up(
+        self, window: EventWindow, sampled: tuple[NDArray[np.float32], Array], mid_us: int, T_world_camera: Array
+    ) -> tuple[Trace, Alignment]:
+        """Return a window aligned with the map near a pose (4, 4) that is believed: tracking goes on from there."""
+        motion = self.motion
+        mid_s = (mid_us - window.start_us) * 1e-6
+        alignment = self._align(sampled, mid_s, T_world_camera, motion.omega, motion.velocity, None)
+        motion.status = Status.TRACKING
+        motion.bad_windows, motion.searches = 0, 0
+        motion.t_us = mid_us
+        return self.trace(window, sampled, mid_us, alignment.T_world_camera), alignment

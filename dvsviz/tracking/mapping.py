@@ -217,6 +217,12 @@ class Mapper:
             self._publish(trace.window)
         return number
 
+    def take_in(self, traces: Sequence[Trace], keyframes: Sequence[Keyframe]) -> None:
+        """Take in windows of another map that are written on this one; the next refinement is of all together."""
+        self.traces = sorted([*self.traces, *traces], key=lambda t: t.window)
+        self._keyframe_at, self._looked_at, self.tried_at = [], 0, 0
+        self.keyframes, self._new_keyframes = [*self.keyframes, *keyframes], [*self._new_keyframes, *keyframes]
+
     def _is_keyframe(self, trace: Trace, overlap: float) -> bool:
         count = len(self.keyframes)
         anchors = self._anchor_poses()

@@ -38,6 +38,7 @@ from dvsviz.tracking.judging import judge
 from dvsviz.tracking.keyframe_map import mapper_of
 from dvsviz.tracking.measure import measure
 from dvsviz.tracking.noise import without_noise
+from dvsviz.tracking.second_map import SecondMap
 from dvsviz.tracking.state import Motion, pack, unpack
 from dvsviz.tracking.traces import HELD
 from dvsviz.tracking.translation import ReliefOdometry
@@ -79,6 +80,9 @@ class Tracker:
             failures=self._failures,
             gyro=self._gyro,
         )
+        # A panorama grows with the camera, and mode contrast has its own way back.
+        has_second = self.config.mode == "map" and self.config.motion in ("planar", "auto")
+        self._second = SecondMap(finder=self._finder) if has_second else None
         # A camera that only turns sees no depth.
         uneven = rc.RELIEF_UNEVEN_TOLD if self.config.motion == "planar" else rc.RELIEF_UNEVEN
         self._relief = ReliefOdometry(self.camera, uneven) if self.config.motion != "rotation" else None
@@ -88,7 +92,8 @@ class Tracker:
         """Events that the next window should have: the configured number, or by the image's motion."""
         if self.config.window is not None:
             return self.config.window
-        return int(np.clip(self._motion.size * self.stretch, c.WINDOW_EVENTS_MIN, self._most_events))
+        size = (self._second.window_size if self._second is not None else None) or self._motion.size
+        return int(np.clip(size * self.stretch, c.WINDOW_EVENTS_MIN, self._most_events))
 
     @property
     def status(self) -> Status:
@@ -118,7 +123,12 @@ class Tracker:
         elif self._mapper.map is None or self._mapper.map.adds == 0:
             trace, alignment = self._finder.start(window, sampled, mid_us), None
         elif self._motion.status in (Status.LOST, Status.RELOCALIZING):
-            trace, alignment, note = self._finder.search(window, sampled, mid_us, is_noise=is_noise)
+            if self._second is not None:
+                trace, alignment, note = self._second.search(
+                    window, sampled, mid_us, len(recorded), is_noise=is_noise
+                )
+            else:
+                trace, alignment, note = self._finder.search(window, sampled, mid_us, is_noise=is_noise)
         else:
             trace, alignment = self._finder.follow(window, sampled, mid_us)
         trace = replace(trace, events=len(recorded), heard=len(window) / len(recorded))
@@ -194,6 +204,8 @@ class Tracker:
         elif is_lost:
             # What was believed of the motion before the loss made the windows too small to be found by.
             self._motion.size = max(self._motion.size, float(c.WINDOW_EVENTS_START))
+        if self._second is not None and self._motion.status not in (Status.LOST, Status.RELOCALIZING):
+            self._second.stay(trace, mid_us)
         if note:
             self._mapper.log(window.index, "warning" if self._motion.status is Status.LOST else "info", note)
         return WindowResult(
@@ -233,6 +245,8 @@ class Tracker:
             self._mapper.tell(failed)
         if self._relief is not None and self._drifts:
             self._mapper.tell_refined(self._relief.poses())
+        if self._second is not None:
+            self._second.finish()
         self._mapper.finish(refine=not self._drifts)
         return self._mapper.take_updates()
 
@@ -339,6 +353,8 @@ class Tracker:
         state = pack(self._motion, self._mapper)
         if self._gyro is not None:
             state |= self._gyro.pack()
+        if self._second is not None:
+            state |= self._second.pack()
         return state if self._relief is None else state | self._relief.pack()
 
     @classmethod
@@ -367,6 +383,8 @@ class Tracker:
             tracker._gyro.unpack(state)
         tracker._motion = unpack(state, camera, config.seed, tracker._mapper, source)
         tracker._finder.motion = tracker._motion
+        if tracker._second is not None:
+            tracker._second.unpack(state, camera, source)
         # A branch may go on as another motion than the one that was stored.
         if tracker._relief is not None and "relief" in state:
             tracker._relief.unpack(state, camera, source)
