@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from dvsviz.geometry import se3
 from dvsviz.geometry.camera import Camera
 from dvsviz.geometry.plane import Plane
-from dvsviz.session.records import Failure, Keyframe, LogEntry, MapRevision, RefinedPoses, TrackerUpdates
+from dvsviz.session.records import Keyframe
 from dvsviz.tracking import constants as c
+from dvsviz.tracking.news import News
 from dvsviz.tracking.panorama import Panorama, loop_error, nearest, spread
 from dvsviz.tracking.planar_map import PlanarMap
 from dvsviz.tracking.refining import Job, Refiner, Revised
@@ -29,7 +30,7 @@ Array = NDArray[np.float64]
 Sampled = tuple[NDArray[np.float32], Array]
 
 
-class Mapper:
+class Mapper(News):
     """Map, traces and keyframes of one tracker.
 
     Args:
@@ -52,6 +53,7 @@ class Mapper:
         solve_normal: bool,
         is_panorama: bool = False,
     ) -> None:
+        super().__init__()
         self.camera = camera
         self.plane = Plane(normal=np.array([0.0, 0.0, -1.0]))
         self.map: PlanarMap | None = None
@@ -68,11 +70,6 @@ class Mapper:
         self._refiner = Refiner(camera=camera, free=free, solve_normal=solve_normal, is_panorama=is_panorama)
         self._image_size = image_size
         self._sensor = (camera.height, camera.width)
-        self._new_keyframes: list[Keyframe] = []
-        self._new_revisions: list[MapRevision] = []
-        self._new_refined: list[RefinedPoses] = []
-        self._new_log: list[LogEntry] = []
-        self._new_failures: list[Failure] = []
         self.revision_at_keyframes = 0
         # Where the keyframes are among the traces, how many traces that was read from; poses of the last keyframes.
         self._keyframe_at: list[int] = []
@@ -211,7 +208,7 @@ class Mapper:
                 image=np.asarray(cv2.resize(shown, self._image_size), dtype=np.uint8),
             )
             self.keyframes.append(keyframe)
-            self._new_keyframes.append(keyframe)
+            self.tell_keyframes([keyframe])
         self.traces.append(trace)
         if self.revision < 0 or len(self.keyframes) >= self.revision_at_keyframes + c.REVISION_KEYFRAMES:
             self._publish(trace.window)
@@ -221,7 +218,8 @@ class Mapper:
         """Take in windows of another map that are written on this one; the next refinement is of all together."""
         self.traces = sorted([*self.traces, *traces], key=lambda t: t.window)
         self._keyframe_at, self._looked_at, self.tried_at = [], 0, 0
-        self.keyframes, self._new_keyframes = [*self.keyframes, *keyframes], [*self._new_keyframes, *keyframes]
+        self.keyframes = [*self.keyframes, *keyframes]
+        self.tell_keyframes(keyframes)
 
     def _is_keyframe(self, trace: Trace, overlap: float) -> bool:
         count = len(self.keyframes)
@@ -262,7 +260,7 @@ class Mapper:
     def _publish(self, window: int, planar_map: PlanarMap | None = None) -> None:
         self.revision += 1
         self.revision_at_keyframes = len(self.keyframes)
-        self._new_revisions.append((planar_map or self.live_map).revision(self.revision, window))
+        self.tell_revision((planar_map or self.live_map).revision(self.revision, window))
 
     # --- refining ------------------------------------------------------------------------------------------
 
@@ -354,7 +352,12 @@ class Mapper:
             if everything:
                 faces = () if self.panorama is None else tuple(self.panorama.faces)
                 revised = self._refiner.revise(
-                    self.traces, self.plane, first=self.refinements == 0, last=True, faces=faces
+                    self.traces,
+                    self.plane,
+                    first=self.refinements == 0,
+                    last=True,
+                    faces=faces,
+                    most=c.REFINE_LAST_VIEWS,
                 )
             else:
                 revised = self._refiner.settle(self.traces, self.plane)
@@ -365,36 +368,3 @@ class Mapper:
             for face in (p for p in self.panorama.faces if p is not self.plane):
                 self._publish(self.traces[-1].window, self._refiner.build(self.traces, face))
         self._publish(self.traces[-1].window)
-
-    # --- telling -------------------------------------------------------------------------------------------
-
-    def log(self, window: int, level: str, text: str) -> None:
-        """Add a line to the log of events."""
-        self._new_log.append(LogEntry(window=window, level=level, text=text))
-
-    def tell_refined(self, poses: Sequence[tuple[int, Array]]) -> None:
-        """Hand over better poses (4, 4), at their windows' starts, of windows by their numbers."""
-        if poses:
-            self._new_refined.append(
-                RefinedPoses(
-                    windows=np.array([k for k, _ in poses], dtype=np.int64),
-                    Ts_world_camera=np.stack([T for _, T in poses]),
-                )
-            )
-
-    def tell(self, failure: Failure) -> None:
-        """Hand over a failure that has ended."""
-        self._new_failures.append(failure)
-
-    def take_updates(self) -> TrackerUpdates:
-        """Return and forget what is new."""
-        updates = TrackerUpdates(
-            keyframes=tuple(self._new_keyframes),
-            map_revisions=tuple(self._new_revisions),
-            refined=tuple(self._new_refined),
-            log=tuple(self._new_log),
-            failures=tuple(self._new_failures),
-        )
-        self._new_keyframes, self._new_revisions, self._new_refined = [], [], []
-        self._new_log, self._new_failures = [], []
-        return updates

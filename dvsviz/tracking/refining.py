@@ -126,7 +126,7 @@ class Refiner:
         halves = Halves(is_awaited=_always if awaited is None else awaited.is_set)
         planes = tuple(faces) or (plane,)
         chosen = self._chosen(traces, most)
-        limit = sum(len(t.bearings) for t in chosen) if last else c.REFINE_EVENTS // len(chosen)
+        limit = (c.REFINE_LAST_EVENTS if last else c.REFINE_EVENTS) // len(chosen)
         rounds, closing = c.REFINE_ROUNDS if last else c.REFINE_ROUNDS_LATER, c.REFINE_CLOSING
         if len(chosen) < c.REFINE_EARLY_VIEWS:
             rounds *= c.REFINE_EARLY_ROUNDS

@@ -105,8 +105,9 @@ class Trace:
 def correct(traces: Sequence[Trace], poses: dict[int, Array]) -> list[Trace]:
     """Return the traces re-expressed after some of them moved.
 
-    A correction `T_new T_old^-1` is interpolated in time between windows that have one and held outside them;
-    velocities follow from the corrected neighbours.
+    A correction `T_new T_old^-1` is interpolated in time between windows that have one and held outside them. By how
+    much one window alone was off is not its neighbours' error: what is handed on is the median of three corrections.
+    Velocities follow from the corrected neighbours.
 
     Args:
         traces: in time order.
@@ -122,13 +123,27 @@ def correct(traces: Sequence[Trace], poses: dict[int, Array]) -> list[Trace]:
     s = np.array([(t.mid_us - traces[0].mid_us) * 1e-6 for t in anchors])
     at = np.array([(t.mid_us - traces[0].mid_us) * 1e-6 for t in traces])
     inside = np.clip(at, s[0], s[-1])
+    turn = se3.log_so3(C[:, :3, :3])
     if len(anchors) > 1:
-        R = Slerp(s, Rotation.from_matrix(C[:, :3, :3]))(inside).as_matrix()
+        R = Slerp(s, Rotation.from_rotvec(_medians(turn)))(inside).as_matrix()
     else:
         R = np.repeat(C[:, :3, :3], len(traces), axis=0)
-    d = np.stack([np.interp(inside, s, shift[:, i]) for i in range(3)], axis=-1)
+    d = np.stack([np.interp(inside, s, column) for column in _medians(shift).T], axis=-1)
     Ts = np.stack([t.T_world_camera for t in traces])
-    return with_poses(traces, se3.pose(R @ Ts[:, :3, :3], Ts[:, :3, 3] + d))
+    moved = se3.pose(R @ Ts[:, :3, :3], Ts[:, :3, 3] + d)
+    own = {t.window for t in anchors}
+    for i, trace in enumerate(traces):
+        if trace.window in own:
+            moved[i] = poses[trace.window]
+    return with_poses(traces, moved)
+
+
+def _medians(rows: Array) -> Array:
+    """Return the medians of three neighbouring rows (N, 3), number by number; the first and the last stay."""
+    if len(rows) < 3:
+        return rows
+    inner = np.median(np.stack([rows[:-2], rows[1:-1], rows[2:]]), axis=0)
+    return np.concatenate([rows[:1], inner, rows[-1:]])
 
 
 def with_poses(traces: Sequence[Trace], Ts_world_camera: Array) -> list[Trace]:
