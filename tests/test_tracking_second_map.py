@@ -187,8 +187,8 @@ def test_a_second_map_waits_while_the_camera_is_on_the_first(tracked: Run) -> No
     known = tracked.tracker._mapper
     begun = int(tracked.said("second map begun")[0].text.split()[-1])
     joined = tracked.said("maps joined")[0].window
-    shared = [t for t in known.traces if joined - 40 <= t.window]
-    away = [t for t in known.traces if begun <= t.window < joined - 40] + shared[::2]
+    shared = [t for t in known.traces if joined - 80 <= t.window]
+    away = [t for t in known.traces if begun <= t.window < joined - 80] + shared[::2]
     turn, shift = se3.exp_so3(np.array([0.0, 0.1, 0.8])), np.array([0.3, -0.5, 0.2])
     scale = 1.0 / (known.plane.distance + float(known.plane.normal @ shift))
     back = Join(scale=scale, R_first_second=turn.T, t_first_second=-scale * turn.T @ shift)
