@@ -11,12 +11,15 @@ from typing import Final
 # Mean image displacement a window should cover, as a share of the image's width: 3 px of 240. Below 1 px events carry
 # little structure, above 4 px of 240 constant velocity no longer holds.
 WINDOW_DISPLACEMENT: Final = 3.0 / 240
-# Of a slow camera whose windows show so many edge pixels, a window ends after so long (s), but covers at least so much:
+# Of a slow camera whose windows show so many edge pixels, a window ends after so long (s), but covers at least so much;
+# of a fast one it goes on for so long, but covers at most so much (4.5 px of 240 instead of 3 take a third of shake's
+# windows away, and it is at 0.18 instead of 0.20 %). Slow ones:
 # a hand's speed changes within 50 ms, and few edges want every px. Median over six seeds of rotdisk's rate of roll, off
-# the gyroscope's: 0.81 (planar 0.88) deg/s without, RATES with; low_texture, whose edges are few, stays as it is.
+# the gyroscope's: 0.81 (planar 0.88) deg/s without, 0.68 (0.60) with; low_texture, whose edges are few, stays as it is.
 WINDOW_EDGE_PIXELS: Final = 600
 WINDOW_SECONDS: Final = 0.03
-WINDOW_DISPLACEMENT_LEAST: Final = 2.0 / 240
+WINDOW_SECONDS_FAST: Final = 0.012
+WINDOW_DISPLACEMENTS: Final = (2.0 / 240, 4.5 / 240)
 WINDOW_EVENTS_MIN: Final = 800
 # The largest window, for a sensor of so many pixels; more in proportion where there are more.
 WINDOW_EVENTS_MAX: Final = 60_000
@@ -172,8 +175,9 @@ REFINE_AT: Final = (5, 8, 12, 18, 27, 40, 60, 90, 130, 190, 280, 400, 600, 900)
 # plane's tilt, turning and moving sideways look alike, and a refinement only wanders.
 REFINE_SPREAD: Final = 0.2
 # A refinement is merged so many windows after it began for each keyframe beyond these: it runs beside the tracker, and
-# always lands at the same window. With 3 it waits less and explore is lost at the map's edge, with 1 it is not.
-REFINE_WINDOWS: Final = 1
+# always lands at the same window. Over two seeds explore is at 0.18 instead of 0.13 % with 2 instead of 1 (as known
+# then 0.44 and 0.52), low_texture at 0.7 instead of 0.6; it waits for half as long.
+REFINE_WINDOWS: Final = 2
 REFINE_AT_ONCE: Final = 8
 # Rounds, with all events, where there was too little motion to refine the usual way. Two window sizes on shapes_start
 # agree to 0.11 % of the distance and 0.16 degrees (0.28 and 0.11 by putting windows back on their map again and again,
@@ -264,6 +268,8 @@ LOST_RATIO: Final = 0.45
 PROBE_RATIO: Final = 0.9
 PROBE_DIRECTIONS: Final = 2
 PROBE_STEPS: Final = (0.06, 0.12, 0.24)
+# Events by which the places are compared; the best of them is then aligned with all.
+PROBE_EVENTS: Final = 700
 # By how much, as a share of the running score, a pose so found must be better.
 PROBE_LEAD: Final = 0.05
 # Share of events inside the map below which a window is bad.

@@ -204,26 +204,26 @@ class PoseFinder:
         if diagnose.stripes(self.mapper.live_map, T, self.camera)[0] < c.STRIPES_SHARE:
             # Along stripes one place is as good as the next.
             return None
-        bearings, t_s = sampled
-        pick = thinned(len(bearings))
-        bearings, t_s = bearings[pick], t_s[pick] - mid_s
         vectors = np.linalg.eigh(alignment.information)[1][:, : c.PROBE_DIRECTIONS]
         steps = np.array([sign * size for size in c.PROBE_STEPS for sign in (-1.0, 1.0)])
         offsets = (vectors.T[:, None] * steps[:, None]).reshape(-1, 6)
         R = T[:3, :3]
         Ts = se3.pose(R @ se3.exp_so3(offsets[:, :3]), T[:3, 3] + offsets[:, 3:] @ R.T)
-        count = len(Ts)
-        found = align_each(
-            self.mapper.live_map,
-            [bearings] * count,
-            [t_s] * count,
-            Ts,
-            np.tile(omega, (count, 1)),
-            np.tile(velocity, (count, 1)),
-            focal_px=self.camera.focal_px,
-            free=self.free,
-        )
-        best = max(found, key=self._agreed)
+        for most in (c.PROBE_EVENTS, c.ALIGN_EVENTS):
+            pick, count = thinned(len(sampled[0]), most), len(Ts)
+            found = align_each(
+                self.mapper.live_map,
+                [sampled[0][pick]] * count,
+                [sampled[1][pick] - mid_s] * count,
+                Ts,
+                np.tile(omega, (count, 1)),
+                np.tile(velocity, (count, 1)),
+                focal_px=self.camera.focal_px,
+                free=self.free,
+            )
+            best = max(found, key=self._agreed)
+            # Few events tell which place fits best, all of them how well.
+            Ts = best.T_world_camera[None]
         return best if self._agreed(best) > here + c.PROBE_LEAD * good else None
 
     def bridge(

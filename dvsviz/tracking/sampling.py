@@ -11,9 +11,9 @@ from dvsviz.tracking import constants as c
 _VIEW_COLUMNS = 18
 
 
-def thinned(count: int) -> NDArray[np.int64]:
-    """Return which (M,) of `count` events are aligned: at most `ALIGN_EVENTS`, evenly spread."""
-    most = min(count, c.ALIGN_EVENTS)
+def thinned(count: int, most: int = c.ALIGN_EVENTS) -> NDArray[np.int64]:
+    """Return which (M,) of `count` events are aligned: at most so many, evenly spread."""
+    most = min(count, most)
     return (np.arange(most) * (count / max(1, most))).astype(np.int64)
 
 

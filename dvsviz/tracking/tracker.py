@@ -195,8 +195,9 @@ class Tracker:
             clear = self._motion.status in (Status.TRACKING, Status.INITIALIZING) and not self._is_undecided
             if clear and images.edge_pixels >= c.WINDOW_EDGE_PIXELS:
                 speed = images.displacement_px / max(window.duration_s, 1e-6)
-                least_px = c.WINDOW_DISPLACEMENT_LEAST * self.camera.width
+                least_px, most_px = (share * self.camera.width for share in c.WINDOW_DISPLACEMENTS)
                 wanted_px = min(wanted_px, max(least_px, speed * c.WINDOW_SECONDS))
+                wanted_px = max(wanted_px, min(most_px, speed * c.WINDOW_SECONDS_FAST))
             if relief is not None or (self.config.motion != "planar" and self._is_undecided):
                 wanted_px = rc.RELIEF_DISPLACEMENT_PX
             moved_px = images.displacement_px if relief is None else relief.live_map.displacement_px
