@@ -50,7 +50,9 @@ def header(**changes: object) -> SessionHeader:
 @cache
 def pose(k: int) -> np.ndarray:
     s = 0.05 * k
-    T = se3.pose(se3.exp_so3([0.1 * np.sin(s), 0.2 * np.sin(0.7 * s), 0.05 * s]), [np.sin(s), 0.3 * s, -0.1 * s])
+    # Of several at once, by which the stored sample was made: one alone differs in the last bit.
+    R = se3.exp_so3([[0.1 * np.sin(s), 0.2 * np.sin(0.7 * s), 0.05 * s]])[0]
+    T = se3.pose(R, [np.sin(s), 0.3 * s, -0.1 * s])
     T.setflags(write=False)
     return T
 
