@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from dvsviz.contrast.iwe import vote
 from dvsviz.events.windows import EventWindow
 from dvsviz.geometry import se3
 from dvsviz.geometry.camera import Camera
@@ -47,6 +49,19 @@ class Sample:
             mid_us=mid_us,
             duration_s=window.duration_s,
         )
+
+    def pixels(self, camera: Camera) -> NDArray[np.float32]:
+        """Return where its events are on the sensor without distortion (N, 2) float32."""
+        return (self.bearings * [camera.fx, camera.fy] + [camera.cx, camera.cy]).astype(np.float32)
+
+    def gain(self, px: NDArray[np.float32], camera: Camera) -> float:
+        """Return the contrast of its events moved to some pixels (N, 2), by their contrast without motion."""
+        sign, shape = np.where(self.is_positive, np.float32(1), np.float32(-1)), (camera.height, camera.width)
+        sharp, still = (
+            float(cv2.GaussianBlur(vote(points, sign, shape), (0, 0), 1.0).var())
+            for points in (px, self.pixels(camera))
+        )
+        return sharp / max(still, 1e-12)
 
     def thinned(self, most: int) -> Sample:
         """Return about `most` of its events."""

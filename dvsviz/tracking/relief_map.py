@@ -11,11 +11,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dvsviz.contrast.iwe import vote
 from dvsviz.geometry.camera import Camera
 from dvsviz.tracking import relief_constants as rc
 from dvsviz.tracking.relief_adjust import Sightings, adjust
@@ -217,15 +215,9 @@ class ReliefMap:
 
     def _measure(self, sample: Sample, px: NDArray[np.float32]) -> None:
         """Find how much sharper the window is with its motion than without, and how far its image moved."""
-        camera, sign = self.camera, np.where(sample.is_positive, np.float32(1), np.float32(-1))
-        where = (sample.bearings * [camera.fx, camera.fy] + [camera.cx, camera.cy]).astype(np.float32)
-        sharp, still = (
-            float(cv2.GaussianBlur(vote(points, sign, (camera.height, camera.width)), (0, 0), 1.0).var())
-            for points in (px, where)
-        )
-        self.gain = sharp / max(still, 1e-12)
+        self.gain = sample.gain(px, self.camera)
         # Between the first and the last event: twice the mean over a window of evenly spread times, twice.
-        self.displacement_px = 4.0 * float(np.nanmedian(np.linalg.norm(px - where, axis=1)))
+        self.displacement_px = 4.0 * float(np.nanmedian(np.linalg.norm(px - sample.pixels(self.camera), axis=1)))
 
     def _count(self, owned: Owned, sample: Sample) -> None:
         """Count who saw which landmark, and leave out those that should have been seen and were not."""

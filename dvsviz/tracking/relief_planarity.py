@@ -6,15 +6,24 @@ the landmarks of one, across their lines, whether the map knows that the camera 
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
+from dvsviz.geometry.camera import Camera
+from dvsviz.geometry.plane import Plane
 from dvsviz.tracking import relief_constants as rc
+from dvsviz.tracking.relief_align import Sample
 from dvsviz.tracking.relief_map import ReliefMap
 from dvsviz.tracking.relief_sweep import image_flow
+from dvsviz.tracking.traces import Trace
 
 Array = NDArray[np.float64]
 _ROUNDS = 10
+# The pixels (N, 2) to which a plane's map moves the events of a window, by its number; None of one it does not know.
+OnPlane = Callable[[int, Sample], NDArray[np.float32] | None]
 
 
 def deviation_of_landmarks(relief_map: ReliefMap, *, may_turn: bool) -> float:
@@ -51,3 +60,23 @@ def deviation_of_landmarks(relief_map: ReliefMap, *, may_turn: bool) -> float:
     order = np.argsort(np.abs(off))
     total = np.cumsum(weight[order])
     return float(np.abs(off)[order][np.searchsorted(total, 0.5 * total[-1])])
+
+
+def moved_by_plane(traces: Sequence[Trace], plane: Plane, camera: Camera) -> OnPlane:
+    """Return what tells to which pixels a plane's map moves a window's events.
+
+    Args:
+        traces: the windows that were tracked on it.
+        plane: in the world.
+        camera: of the pixels.
+    """
+    by_window, K = {t.window: t for t in traces}, camera.matrix
+
+    def moved(window: int, sample: Sample) -> NDArray[np.float32] | None:
+        trace = by_window.get(window)
+        if trace is None:
+            return None
+        b = replace(trace, bearings=sample.bearings, t_s=sample.t_s + trace.mid_s).deskewed(plane)
+        return (b @ K[:2, :2] + K[:2, 2]).astype(np.float32) if len(b) == len(sample.t_s) else None
+
+    return moved

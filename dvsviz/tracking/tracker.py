@@ -38,6 +38,7 @@ from dvsviz.tracking.judging import judge
 from dvsviz.tracking.keyframe_map import mapper_of
 from dvsviz.tracking.measure import measure
 from dvsviz.tracking.noise import without_noise
+from dvsviz.tracking.relief_planarity import moved_by_plane
 from dvsviz.tracking.second_map import SecondMap
 from dvsviz.tracking.state import Motion, pack, unpack
 from dvsviz.tracking.traces import HELD
@@ -283,7 +284,8 @@ class Tracker:
         least = rc.RELIEF_OFF_PLANE_STRAIGHT if straight else rc.RELIEF_OFF_PLANE
         first = relief.asked[0].window
         T = next((t.T_world_camera for t in self._mapper.traces if t.window == first and first > 0), np.eye(4))
-        if not relief.begin(T, may_turn=not straight, least=least):
+        on_plane = None if straight else moved_by_plane(self._mapper.traces, self._mapper.plane, self.camera)
+        if not relief.begin(T, may_turn=not straight, least=least, on_plane=on_plane):
             relief.not_a_plane, relief.asked = False, []
             return f"the scene is a plane: {relief.percent}"
         self._mapper.tell_refined(relief.poses())

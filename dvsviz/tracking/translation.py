@@ -22,7 +22,7 @@ from dvsviz.geometry.camera import Camera
 from dvsviz.tracking import relief_constants as rc
 from dvsviz.tracking.relief_align import Moving, Sample, between
 from dvsviz.tracking.relief_map import ReliefMap
-from dvsviz.tracking.relief_planarity import deviation_of_landmarks
+from dvsviz.tracking.relief_planarity import OnPlane, deviation_of_landmarks
 
 Array = NDArray[np.float64]
 # A camera before a relief does not turn: over the few degrees of a sensor's view turning and moving sideways look alike
@@ -155,7 +155,14 @@ class ReliefOdometry:
 
     # --- on the map ----------------------------------------------------------------------------------------
 
-    def begin(self, T_world_first: Array, *, may_turn: bool, least: float) -> bool:
+    def begin(
+        self,
+        T_world_first: Array,
+        *,
+        may_turn: bool,
+        least: float,
+        on_plane: OnPlane | None = None,
+    ) -> bool:
         """Make the relief map of the windows that were asked; return whether what it holds is no plane.
 
         The map begins with the first window that moved; those before it are placed when the map is made.
@@ -164,6 +171,8 @@ class ReliefOdometry:
             T_world_first: pose (4, 4) of the first of them, at its middle.
             may_turn: the camera may turn: what turning explains is no depth.
             least: deviation of the landmarks' motion from a plane's from which it is taken; else it is dropped.
+            on_plane: the pixels (N, 2) to which a plane's map moves a window's events, where it knows it: on the relief
+                they must be sharper.
         """
         first = next((k for k, a in enumerate(self.asked) if k and a.moved_px >= rc.RELIEF_MOVED_PX), 0)
         self.map, self.path = ReliefMap(self.camera, _FREE), []
@@ -175,11 +184,15 @@ class ReliefOdometry:
             Passed(window=a.window, start_us=s, mid_us=a.sample.mid_us, T_world_camera=T_world_first)
             for a, s in zip(asked[: first + 1], start_us, strict=False)
         ]
+        sharper: list[float] = []
         for a in asked[first + 1 :]:
             self._advance(a.window, a.sample)
+            px = None if on_plane is None else on_plane(a.window, a.sample)
+            if px is not None:
+                sharper.append(float(np.log(self.live_map.gain / max(a.sample.gain(px, self.camera), 1e-12))))
         self._place_before(asked[:first], T_world_first)
         deviation = deviation_of_landmarks(self.map, may_turn=may_turn)
-        if not deviation >= least:
+        if not deviation >= least or (sharper and np.mean(sharper) < rc.RELIEF_SHARPER):
             self.map, self.path = None, []
             return False
         self.unevenness, self.not_a_plane = deviation, True
