@@ -89,16 +89,24 @@ def test_the_derivative_of_a_lines_slope_on_the_sensor() -> None:
     assert np.exp(value[0]) == pytest.approx(np.hypot(slope[0], slope[1]), rel=1e-6)
 
 
+def seen_along(
+    points: np.ndarray, plane: Plane, count: int, rng: np.random.Generator
+) -> tuple[list[View], np.ndarray]:
+    """So many views along the path, with half a pixel of noise, and their true poses (N, 4, 4)."""
+    truths = np.stack([path(k) for k in range(count)])
+    views = [
+        View(bearings=seen(points, T, plane, rng, 0.7), T_world_camera=T, t_s=0.05 * k)
+        for k, T in enumerate(truths)
+    ]
+    return views, truths
+
+
 def test_views_do_not_draw_near_to_the_plane_together() -> None:
     """Dense edges seen with half a pixel of noise, from the true poses on: they stay."""
     rng = np.random.default_rng(2)
     plane = tilted(12.0, 200.0)
     points = edges(rng, 160)
-    truths = np.stack([path(k) for k in range(40)])
-    views = [
-        View(bearings=seen(points, T, plane, rng, 0.7), T_world_camera=T, t_s=0.05 * k)
-        for k, T in enumerate(truths)
-    ]
+    views, truths = seen_along(points, plane, 40, rng)
     result = refine(views, plane, FOCAL_PX, free=ALL, rounds=8)
     drawn = (result.Ts_world_camera[:, :3, 3] - truths[:, :3, 3]) @ plane.normal
     assert abs(drawn.mean()) < 0.003
@@ -125,11 +133,7 @@ def test_an_early_refinement_goes_on_until_the_plane_is_found() -> None:
     rng = np.random.default_rng(4)
     steep = tilted(20.0, 60.0)
     points = edges(rng, 250)
-    truths = np.stack([path(k) for k in range(14)])
-    views = [
-        View(bearings=seen(points, T, steep, rng, 0.7), T_world_camera=T, t_s=0.05 * k)
-        for k, T in enumerate(truths)
-    ]
+    views, _ = seen_along(points, steep, 14, rng)
 
     def off_deg(times: int) -> float:
         rounds = c.REFINE_ROUNDS_LATER * times

@@ -74,8 +74,23 @@ def agreement(planar_map: PlanarMap, alignment: Alignment, camera: Camera) -> Ag
     """
     if alignment.agreed is not None:
         return alignment.agreed
-    H = planar_map.projection @ homography_map_camera(alignment.T_world_camera, planar_map.plane)
-    chance, inside = footprint_mean(
+    chance, inside = seen_by_chance(planar_map, alignment.T_world_camera, camera, _FOOTPRINT_COLUMNS)
+    return Agreement(score=(alignment.value - chance) / max(1e-3, 1.0 - chance), chance=chance, inside=inside)
+
+
+def seen_by_chance(
+    planar_map: PlanarMap, T_world_camera: Array, camera: Camera, columns: int
+) -> tuple[float, float]:
+    """Return the mean of the finest edge image over what a view sees of the map, and how much of it is seen.
+
+    Args:
+        planar_map: the map.
+        T_world_camera: pose (4, 4).
+        camera: gives the view.
+        columns: pixels sampled along the width.
+    """
+    H = planar_map.projection @ homography_map_camera(T_world_camera, planar_map.plane)
+    return footprint_mean(
         planar_map.level(-1),
         planar_map.exposure,
         c.EXPOSURE_CELL_PX,
@@ -83,9 +98,8 @@ def agreement(planar_map: PlanarMap, alignment: Alignment, camera: Camera) -> Ag
         camera.matrix,
         camera.width,
         camera.height,
-        _FOOTPRINT_COLUMNS,
+        columns,
     )
-    return Agreement(score=(alignment.value - chance) / max(1e-3, 1.0 - chance), chance=chance, inside=inside)
 
 
 def footprint(

@@ -23,8 +23,7 @@ from dvsviz.session.records import Keyframe
 from dvsviz.tracking import constants as c
 from dvsviz.tracking import second_constants as own
 from dvsviz.tracking.align import align_each
-from dvsviz.tracking.diagnose import agreement
-from dvsviz.tracking.kernels import footprint_mean
+from dvsviz.tracking.diagnose import agreement, seen_by_chance
 from dvsviz.tracking.planar_map import PlanarMap
 from dvsviz.tracking.refining import evenly
 from dvsviz.tracking.sampling import thinned
@@ -127,17 +126,7 @@ def write(traces: Sequence[Trace], planar_map: PlanarMap, camera: Camera) -> Non
 
 def share_seen(planar_map: PlanarMap, T_world_camera: Array, camera: Camera) -> float:
     """Return the share of a view from a pose (4, 4) that the map has seen."""
-    H = planar_map.projection @ homography_map_camera(T_world_camera, planar_map.plane)
-    return footprint_mean(
-        planar_map.level(-1),
-        planar_map.exposure,
-        c.EXPOSURE_CELL_PX,
-        H,
-        camera.matrix,
-        camera.width,
-        camera.height,
-        _COLUMNS,
-    )[1]
+    return seen_by_chance(planar_map, T_world_camera, camera, _COLUMNS)[1]
 
 
 def rival(planar_map: PlanarMap, traces: Sequence[Trace], camera: Camera) -> float:
